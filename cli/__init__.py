@@ -1,0 +1,1 @@
+"""The `cvqmpt` command line: argparse only."""

@@ -1,0 +1,75 @@
+"""`cvqmpt`: one subcommand a file; each has add_arguments(parser) and run(args) -> exit code."""
+
+import argparse
+import importlib
+import os
+import sys
+
+from cvqmpt_lab.errors import CvqmptError
+
+COMMANDS = {
+    "plan": "plan one problem and print a short report",
+    "reproduce": "run a suite of the paper and write its rows and tables",
+    "table": "render the tables of a results directory",
+    "problems": "list or export the problems of a suite",
+    "check-tables": "re-run a tiny profile and compare with the committed expectations",
+    "bench": "measure collision checks, projections and planners",
+    "warmup": "compile all kernels ahead of time",
+}
+
+EXAMPLES = """examples:
+  cvqmpt plan place-task --problem 7 --planner birrt --seed 0
+  cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd
+  cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small
+  cvqmpt table runs/small
+
+cvqmpt COMMAND --help tells the rest."""
+
+
+def _module(command: str):
+    return importlib.import_module(f"cli.{command.replace('-', '_')}_command")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a subcommand; errors of the package become one line and exit code 2."""
+    argv = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(
+        prog="cvqmpt",
+        description="Constrained motion planning with learned sampling dictionaries: plan, measure, reproduce.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    asked = next((word for word in argv if word in COMMANDS), None)
+    for name, summary in COMMANDS.items():
+        sub = commands.add_parser(
+            name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        if name == asked:  # only the command in use pays for its imports
+            module = _module(name)
+            sub.epilog = "examples:\n" + "\n".join("  " + line for line in module.EXAMPLES)
+            module.add_arguments(sub)
+    args = parser.parse_args(argv)
+    try:
+        return _module(args.command).run(args)
+    except CvqmptError as error:
+        print(f"cvqmpt: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("cvqmpt: interrupted; what was finished is kept, the same command continues", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def entry_point() -> None:
+    """Console script: leave without interpreter teardown, in which ompl's bindings print leak reports."""
+    code = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    entry_point()

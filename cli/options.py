@@ -1,0 +1,92 @@
+"""Options and checks that several subcommands share."""
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.space import BACKENDS
+from cvqmpt_lab.planning.table import PLANNERS
+
+
+def positive_int(text: str) -> int:
+    """A whole number of 1 or more."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return value
+
+
+def positive_seconds(text: str) -> float:
+    """A finite positive number of seconds."""
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+    return value
+
+
+def add_budget(parser: argparse.ArgumentParser) -> None:
+    """--cutoff, --iterations and --backend."""
+    parser.add_argument("--cutoff", type=positive_seconds, metavar="S", help="give up after S seconds (10)")
+    parser.add_argument(
+        "--iterations",
+        type=positive_int,
+        metavar="N",
+        help="give up after N iterations: repeatable bit for bit",
+    )
+    parser.add_argument(
+        "--backend", default="compiled", help=f"collision backend: {', '.join(BACKENDS)} (compiled)"
+    )
+
+
+def budget(args: argparse.Namespace) -> Budget:
+    """The budget asked for; 10 s when nothing was."""
+    seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
+    return Budget(seconds=seconds, iterations=args.iterations)
+
+
+def planner_list(text: str) -> tuple[str, ...]:
+    """Names separated by commas; "all" is every planner."""
+    return (
+        tuple(PLANNERS) if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
+    )
+
+
+def writable_file(path: Path) -> Path:
+    """The path, after checking that a file can be made there."""
+    if not path.parent.is_dir():
+        raise InvalidInputError(f"cannot write {path}: folder {path.parent} does not exist; make it first")
+    return path
+
+
+class ProgressBar:
+    """A bar with an estimate of the time left, on standard error; one line per tenth when that is no terminal."""
+
+    def __init__(self, label: str) -> None:
+        self._label, self._began, self._first = label, time.perf_counter(), 0
+        self._terminal = sys.stderr.isatty()
+        self._tenth = -1
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show `done` of `total`."""
+        if self._tenth < 0:
+            self._first, self._tenth = done, 0
+        elapsed = time.perf_counter() - self._began
+        made = done - self._first
+        left = f"{elapsed / made * (total - done):.0f} s left" if made else "estimating"
+        if self._terminal:
+            filled = 30 * done // max(total, 1)
+            bar = "#" * filled + "-" * (30 - filled)
+            end = "\n" if done == total else ""
+            print(
+                f"\r{self._label} [{bar}] {done}/{total}  {left}  {note[:40]:40}",
+                end=end,
+                file=sys.stderr,
+                flush=True,
+            )
+        elif 10 * done // max(total, 1) > self._tenth or done == total:
+            self._tenth = 10 * done // max(total, 1)
+            print(f"{self._label} {done}/{total}, {left}", file=sys.stderr, flush=True)

@@ -1,0 +1,97 @@
+"""`cvqmpt plan`: one problem, one planner, a short human report."""
+
+import argparse
+from pathlib import Path
+
+from cli.options import add_budget, budget, writable_file
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import Solution, solve
+from cvqmpt_lab.planning.table import PLANNERS, planner_named
+from cvqmpt_lab.problem import PlanningProblem
+from experiments.place_task import UnsolvableProblem
+from experiments.suites import SUITES, suite_named
+
+EXAMPLES = (
+    "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
+    "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
+    "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Problem, planner, budget, and where to show it."""
+    parser.add_argument("suite", nargs="?", help=f"suite of the problem: {', '.join(SUITES)}")
+    parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
+    parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
+    parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
+    add_budget(parser)
+    parser.add_argument("--save", type=Path, metavar="RUN.rrd", help="write a rerun recording")
+    parser.add_argument("--view", action="store_true", help="open the rerun viewer")
+    parser.add_argument("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, print, show; exit code 1 when no certified path was found."""
+    for path in (args.save, args.save_path):
+        if path is not None:
+            writable_file(path)
+    planner = planner_named(args.planner)
+    problem = _problem(args)
+    solution = solve(problem, planner, budget(args), args.seed, backend=args.backend)
+    print("\n".join(report(solution, args.planner)))
+    if args.save_path and solution.simplified:
+        _write_path(args.save_path, solution)
+        print(f"path written to {args.save_path}")
+    if args.save or args.view:
+        from cvqmpt_lab.viewer import log_solution
+
+        log_solution(solution, save=args.save, view=args.view)
+        if args.save:
+            print(f"recording written to {args.save}; open it with: rerun {args.save}")
+    return 0 if solution.solved else 1
+
+
+def _problem(args: argparse.Namespace) -> PlanningProblem:
+    if (args.suite is None) == (args.problem_file is None):
+        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
+    if args.problem_file is not None:
+        return PlanningProblem.load(args.problem_file)
+    problem = suite_named(args.suite).problem(args.problem)
+    if isinstance(problem, UnsolvableProblem):
+        raise InvalidInputError(f"problem {args.problem} of {args.suite} has no solution: {problem.reason}")
+    return problem
+
+
+def report(solution: Solution, planner: str) -> list[str]:
+    """The lines a person reads."""
+    plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
+    counts = plan.counters
+    lines = [
+        f"problem     {solution.problem.name}: robot {solution.problem.robot.name}, {len(solution.problem.goals)} goals",
+        f"planner     {planner}, samples: {plan.sampler}",
+        f"status      {plan.status}{': ' + plan.detail if plan.detail else ''}",
+        f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
+        + (f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""),
+        f"counts      {counts.projections} projections, {counts.newton_iterations} Newton iterations, "
+        f"{counts.state_checks} state checks, {plan.vertices} vertices",
+    ]
+    if plan.path is not None and shorter is not None:
+        lines.append(f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
+    if certificate is not None:
+        verdict = "valid" if certificate.valid else "INVALID: " + "; ".join(certificate.reasons)
+        lines.append(
+            f"certificate {verdict} ({certificate.states_checked} states, off the manifold by at most "
+            f"{certificate.max_violation_rad:.1e} rad and {certificate.max_violation_m:.1e} m, "
+            f"clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
+        )
+    return lines
+
+
+def _write_path(path: Path, solution: Solution) -> None:
+    assert solution.simplified is not None
+    header = ",".join(solution.problem.robot.joint_names)
+    rows = "\n".join(",".join(repr(float(x)) for x in q) for q in solution.simplified.path.states)
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(f"{header}\n{rows}\n")
+    temporary.replace(path)

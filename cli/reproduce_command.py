@@ -1,0 +1,69 @@
+"""`cvqmpt reproduce`: run a suite of the paper, write its rows and tables."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from cli.options import ProgressBar, add_budget, budget, planner_list, positive_int
+from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.evaluation.results import ResultRow
+from cvqmpt_lab.planning.table import PLANNERS
+from experiments.run import Experiment, default_jobs, run_experiment
+from experiments.suites import SUITES, suite_named
+from paper_tables.render import render_directory
+
+EXAMPLES = (
+    "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
+    "cvqmpt reproduce place-task --planners birrt,ompl-projected --cutoff 10 --out runs/two",
+    "cvqmpt reproduce place-task --suite place-task-with-can --out runs/can",
+)
+TASKS = ("place-task",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Suite, how much of it, with which planners, and where to."""
+    parser.add_argument("task", help=f"what to reproduce: {', '.join(TASKS)}")
+    parser.add_argument("--suite", help=f"variant of its problems: {', '.join(SUITES)} (the task's own)")
+    parser.add_argument("--problems", type=positive_int, metavar="N", help="only the first N problems (all)")
+    parser.add_argument("--seeds", type=positive_int, default=1, metavar="K", help="seeds 0 to K-1 (1)")
+    parser.add_argument(
+        "--planners",
+        type=planner_list,
+        default=tuple(PLANNERS),
+        metavar="A,B",
+        help=f"of {', '.join(PLANNERS)} (all)",
+    )
+    add_budget(parser)
+    parser.add_argument(
+        "--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where rows and tables go (runs/SUITE)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is missing in --out, then render its tables."""
+    if args.task not in TASKS:
+        raise UnknownChoiceError("task", args.task, TASKS)
+    suite = suite_named(args.suite or args.task)
+    experiment = Experiment(
+        suite=suite.name,
+        problems=tuple(suite.problems[: args.problems]),
+        planners=args.planners,
+        seeds=tuple(range(args.seeds)),
+        budget=budget(args),
+        backend=args.backend,
+    )
+    out = args.out or Path("runs") / suite.name
+    bar = ProgressBar(suite.name)
+
+    def show(done: int, total: int, row: ResultRow | None) -> None:
+        bar(done, total, f"{row.planner} {row.problem} {row.status}" if row else "")
+
+    rows = run_experiment(experiment, out, args.jobs, ["cvqmpt", *sys.argv[1:]], show)
+    written = render_directory(out)
+    markdown = next(path for path in written if path.suffix == ".md")
+    print(markdown.read_text())
+    print(f"{len(rows)} rows in {out / 'runs.csv'}")
+    for path in written:
+        print(f"table in {path}")
+    return 0

@@ -1,0 +1,1 @@
+"""Task-space constraints and inverse kinematics by projection."""

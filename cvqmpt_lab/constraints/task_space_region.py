@@ -1,0 +1,171 @@
+"""Task-space regions: bounds on the pose of a frame of the robot (Berenson et al. 2011; paper, section IV-A)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.projection import project, projection_scratch
+from cvqmpt_lab.kernels.task_space_region import Regions, batch_residual_and_jacobian
+from cvqmpt_lab.robot.robot import Robot
+
+TOLERANCE = 1e-4  # on |F|, OMPL's default
+MAX_ITERATIONS = 50  # Newton steps, OMPL's default
+FREE = np.inf
+UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # hand x = world z
+
+
+@dataclass(frozen=True, eq=False)
+class TaskSpaceRegion:
+    """Poses of the end effector e seen from a frame w, within bounds.
+
+    Attributes
+    ----------
+    T0_w: (4, 4), pose of w in the world.
+    Tw_e: (4, 4), pose of e in w when the displacement is zero.
+    Bw: (6, 2), lower and upper bounds of position x, y, z [m] and rotation vector [rad];
+        +-inf leaves an entry free (a rotation entry also when it spans [-pi, pi]).
+    """
+
+    T0_w: np.ndarray
+    Tw_e: np.ndarray
+    Bw: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name, shape in (("T0_w", (4, 4)), ("Tw_e", (4, 4)), ("Bw", (6, 2))):
+            value = np.array(getattr(self, name), dtype=float)
+            if value.shape != shape or np.isnan(value).any():
+                raise InvalidInputError(
+                    f"task-space region field {name!r} must be {shape} numbers without NaN"
+                )
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        for name in ("T0_w", "Tw_e"):
+            rotation = getattr(self, name)[:3, :3]
+            if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+                raise InvalidInputError(f"task-space region field {name!r} does not hold a rotation matrix")
+        if (self.Bw[:, 0] > self.Bw[:, 1]).any():
+            row = int(np.argmax(self.Bw[:, 0] > self.Bw[:, 1]))
+            raise InvalidInputError(f"task-space region field 'Bw': row {row} has lower > upper")
+
+    @property
+    def bounded_rows(self) -> np.ndarray:
+        """Indices (m,) of the entries of Bw that can be violated."""
+        lower, upper = self.Bw.T
+        limit = np.array([np.inf] * 3 + [np.pi] * 3)
+        return np.flatnonzero((lower > -limit) | (upper < limit))
+
+    def sample_pose(self, rng: np.random.Generator) -> np.ndarray:
+        """A pose T_world_e (4, 4) drawn uniformly between the bounds; free entries stay at zero or +-pi."""
+        lower, upper = self.Bw.T.copy()
+        if np.isinf(self.Bw[:3]).any():
+            raise InvalidInputError(
+                "cannot sample poses of a region whose position is unbounded: bound Bw rows 0-2"
+            )
+        lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
+        x = rng.uniform(lower, upper)
+        T_w_displaced = np.eye(4)
+        T_w_displaced[:3, :3] = Rotation.from_rotvec(x[3:]).as_matrix()
+        T_w_displaced[:3, 3] = x[:3]
+        return self.T0_w @ T_w_displaced @ self.Tw_e
+
+    def to_dict(self) -> dict:
+        """Plain json form; infinite bounds become null."""
+        bounds = [[None if np.isinf(b) else float(b) for b in row] for row in self.Bw]
+        return {"T0_w": self.T0_w.tolist(), "Tw_e": self.Tw_e.tolist(), "Bw": bounds}
+
+    @staticmethod
+    def from_dict(data: dict) -> "TaskSpaceRegion":
+        """Inverse of to_dict; names the missing or malformed field."""
+        try:
+            bounds = [
+                [s * np.inf if b is None else b for b, s in zip(row, (-1, 1), strict=True)]
+                for row in data["Bw"]
+            ]
+            return TaskSpaceRegion(
+                np.array(data["T0_w"], float), np.array(data["Tw_e"], float), np.array(bounds, float)
+            )
+        except KeyError as error:
+            raise InvalidInputError(f"task-space region field {error} is missing") from error
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError(f"task-space region is malformed: {error}") from error
+
+
+def upright(tilt: float = 0.1) -> TaskSpaceRegion:
+    """The hand's x axis stays vertical within tilt [rad]; yaw about it and position are free.
+
+    The published experiment code's constraint: rotation vector of R_t^T R, entries 1 and 2 in +-0.1 rad.
+    """
+    T0_w = np.eye(4)
+    T0_w[:3, :3] = UPRIGHT_ROTATION
+    return TaskSpaceRegion(T0_w, np.eye(4), np.array([[-FREE, FREE]] * 4 + [[-tilt, tilt]] * 2))
+
+
+@dataclass(frozen=True, eq=False)
+class RegionConstraint:
+    """The intersection of task-space regions of a robot's end effector, as a constraint F(q) = 0.
+
+    An empty intersection of regions (none given) is the unconstrained problem, m = 0.
+    """
+
+    robot: Robot
+    members: tuple[TaskSpaceRegion, ...]
+
+    @property
+    def dim(self) -> int:
+        """Number m of bounded rows."""
+        return sum(len(member.bounded_rows) for member in self.members)
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        """Signed distance outside the bounds, (m,) or (b, m) [m, rad]."""
+        return self._evaluate(q, False)[0]
+
+    def jacobian(self, q: np.ndarray, full: bool = False) -> np.ndarray:
+        """Derivative of the residual, (m, n) or (b, m, n)."""
+        return self._evaluate(q, full)[1]
+
+    def _evaluate(self, q: np.ndarray, full: bool) -> tuple[np.ndarray, np.ndarray]:
+        batch = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
+        residual, jacobian = batch_residual_and_jacobian(self.robot.kinematics, self.regions(), batch, full)
+        return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
+
+    def project(
+        self, q: np.ndarray, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
+    ) -> np.ndarray | None:
+        """Algorithm 1 of the paper with its missing inverse, inside the joint limits; None when it fails."""
+        q = np.array(q, dtype=float)
+        scratch = projection_scratch(self.robot.dof, self.dim)
+        iterations = project(self.robot.kinematics, self.regions(), q, tolerance, max_iterations, scratch)
+        return q if iterations >= 0 else None
+
+    def regions(self) -> Regions:
+        """Plain arrays of all members."""
+        return stack_regions(self.robot, self.members)
+
+
+def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:
+    """Plain arrays of regions of the end effector.
+
+    shrink: bounds are moved inwards by this much [m, rad], at most to a tenth of their width: what planners
+    use, so that straight joint motions between two states on the rim stay inside.
+    """
+    link, T_link_e = robot.end_effector_link
+    ends = [T_link_e @ np.linalg.inv(member.Tw_e) for member in members]
+    rows = [(k, row) for k, member in enumerate(members) for row in member.bounded_rows]
+    bounds = np.array([members[k].Bw[row] for k, row in rows]).reshape(-1, 2)
+    inset = np.minimum(shrink, 0.1 * (bounds[:, 1] - bounds[:, 0]))
+    k = len(members)
+    return Regions(
+        link=np.full(k, link, dtype=np.int64),
+        base=np.zeros(k, dtype=np.int64),
+        end_rotation=np.array([T[:3, :3] for T in ends]).reshape(k, 3, 3),
+        end_translation=np.array([T[:3, 3] for T in ends]).reshape(k, 3),
+        reference_rotation=np.array([m.T0_w[:3, :3] for m in members]).reshape(k, 3, 3),
+        reference_translation=np.array([m.T0_w[:3, 3] for m in members]).reshape(k, 3),
+        region=np.array([k for k, _ in rows], dtype=np.int64),
+        axis=np.array([row for _, row in rows], dtype=np.int64),
+        lower=bounds[:, 0] + inset,
+        upper=bounds[:, 1] - inset,
+    )

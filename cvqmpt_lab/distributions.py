@@ -1,0 +1,75 @@
+"""Distributions over configurations that planners sample from; always radians."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+
+
+class SamplingDistribution(Protocol):
+    """Anything that draws configurations."""
+
+    name: str
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n) [rad or m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uniform:
+    """Uniform between the joint limits lower, upper (n,)."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    name: str = "uniform"
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n)."""
+        return rng.uniform(self.lower, self.upper, (count, len(self.lower)))
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianMixture:
+    """Weighted Gaussians, optionally mixed with a uniform share (paper, eqn. sample_dist).
+
+    Attributes
+    ----------
+    means: (k, n). covariances: (k, n, n) [rad^2]. weights: (k,), summing to 1.
+    uniform: distribution mixed in, and its share in [0, 1]; without a share the mixture has no tail
+        and a planner is not probabilistically complete.
+    """
+
+    means: np.ndarray
+    covariances: np.ndarray
+    weights: np.ndarray
+    uniform: Uniform | None = None
+    uniform_share: float = 0.0
+    name: str = "gaussian-mixture"
+
+    def __post_init__(self) -> None:
+        k, n = self.means.shape
+        if self.covariances.shape != (k, n, n) or self.weights.shape != (k,):
+            raise InvalidInputError(
+                f"mixture of {k} means in {n} joints: covariances {self.covariances.shape}, weights {self.weights.shape}"
+            )
+        if not np.isclose(self.weights.sum(), 1.0) or (self.weights < 0).any():
+            raise InvalidInputError(
+                f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}"
+            )
+        if not 0.0 <= self.uniform_share <= 1.0 or (self.uniform_share > 0 and self.uniform is None):
+            raise InvalidInputError(
+                f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution"
+            )
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n); Gaussian draws may leave the limits, planners clip them."""
+        component = rng.choice(len(self.weights), count, p=self.weights)
+        noise = rng.standard_normal((count, self.means.shape[1]))
+        factors = np.linalg.cholesky(self.covariances)
+        draws = self.means[component] + np.einsum("kij,kj->ki", factors[component], noise)
+        if self.uniform is not None and self.uniform_share > 0:
+            elsewhere = rng.random(count) < self.uniform_share
+            draws[elsewhere] = self.uniform.sample(rng, int(elsewhere.sum()))
+        return draws

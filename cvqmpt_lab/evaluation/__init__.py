@@ -1,0 +1,1 @@
+"""Certificates, result rows, statistics and tables."""

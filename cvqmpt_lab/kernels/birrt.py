@@ -1,0 +1,171 @@
+"""Bidirectional constrained tree growth: the paper's Algorithm 3, on preallocated arrays.
+
+Samples come in from outside in batches, so any distribution serves and no Python runs per state.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
+from cvqmpt_lab.kernels.space import ITERATIONS
+
+GROWING, CONNECTED, FULL = range(3)
+REMOVED = 1e6  # [rad] where a removed node is put, so that it is never nearest
+
+
+class Trees(NamedTuple):
+    """Two trees; row 0 grows from the start, row 1 from the goals.
+
+    Attributes
+    ----------
+    nodes: (2, capacity, n) configurations. parent: (2, capacity) int64, -1 for roots.
+    size: (2,) int64. meeting: (2,) int64, the nodes that met when CONNECTED.
+    turn: (1,) int64, which tree extends first.
+    """
+
+    nodes: np.ndarray
+    parent: np.ndarray
+    size: np.ndarray
+    meeting: np.ndarray
+    turn: np.ndarray
+
+
+@kernel
+def nearest_node(nodes, size, target):
+    """Index of the row of nodes (capacity, n) closest to target (n,), among the first size."""
+    best, index = np.inf, 0
+    n = target.shape[0]
+    for i in range(size):
+        square = 0.0
+        for j in range(n):
+            difference = nodes[i, j] - target[j]
+            square += difference * difference
+        if square < best:
+            best, index = square, i
+    return index
+
+
+@kernel
+def extend(space, nodes, parent, size, which, origin, target):
+    """ConstrainedExtend: walk from node origin towards target (n,), adding every state to the tree.
+
+    Returns
+    -------
+    Index of the last node, and whether the target was reached.
+    """
+    start = distance(nodes[origin], target)
+    if start < 1e-9:
+        return origin, True
+    allowance = DEVIATION * start
+    node = origin
+    while True:
+        new = size[which]
+        outcome = step_towards(space, nodes[node], target, allowance, nodes[new])
+        if outcome == STOPPED:
+            return node, False
+        parent[new] = node
+        size[which] = new + 1
+        allowance -= distance(nodes[node], nodes[new])
+        node = new
+        if outcome == REACHED:
+            return node, True
+        if new + 2 >= nodes.shape[0]:
+            return node, False
+
+
+@kernel
+def _connect(space, trees, sample, extend_both):
+    """One iteration; True when the trees met (trees.meeting is set)."""
+    a = trees.turn[0]
+    b = 1 - a
+    trees.turn[0] = b  # Swap
+    near = nearest_node(trees.nodes[a], trees.size[a], sample)
+    reached_a, _ = extend(space, trees.nodes[a], trees.parent[a], trees.size, a, near, sample)
+    if extend_both:
+        near = nearest_node(trees.nodes[b], trees.size[b], sample)
+        near, _ = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, sample)
+    else:
+        near = nearest_node(trees.nodes[b], trees.size[b], trees.nodes[a, reached_a])
+    target = trees.nodes[a, reached_a]
+    reached_b, met = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, target)
+    trees.meeting[a] = reached_a
+    trees.meeting[b] = reached_b
+    return met
+
+
+@kernel
+def grow(space, trees, samples, first, extend_both):
+    """Grow both trees towards samples[first:] (m, n) until they meet.
+
+    extend_both: Algorithm 3 as printed, both trees walk to the sample and are then connected;
+    otherwise the second tree walks from its nearest node to where the first one stopped (CBiRRT).
+
+    Returns
+    -------
+    status: GROWING (samples used up), CONNECTED (trees.meeting holds the nodes), FULL (no room left).
+    next: index of the next unused sample.
+    """
+    room = trees.nodes.shape[1] // 4
+    for i in range(first, samples.shape[0]):
+        if max(trees.size[0], trees.size[1]) + room >= trees.nodes.shape[1]:
+            return FULL, i
+        space.counters[ITERATIONS] += 1
+        if _connect(space, trees, samples[i], extend_both):
+            return CONNECTED, i + 1
+    return GROWING, samples.shape[0]
+
+
+@kernel
+def extract_path(trees, out, origin):
+    """Write the states from start root to goal root into out (k, n), and their (tree, node) into origin (k, 2).
+
+    Returns
+    -------
+    Number of states, or -1 when out is too short.
+    """
+    count, node = 0, trees.meeting[0]
+    while node >= 0:
+        if count == out.shape[0]:
+            return -1
+        origin[count, 0], origin[count, 1] = 0, node
+        count += 1
+        node = trees.parent[0, node]
+    for i in range(count // 2):
+        swap = origin[i, 1]
+        origin[i, 1] = origin[count - 1 - i, 1]
+        origin[count - 1 - i, 1] = swap
+    node = trees.parent[1, trees.meeting[1]]  # the meeting state itself stands in both trees
+    while node >= 0:
+        if count == out.shape[0]:
+            return -1
+        origin[count, 0], origin[count, 1] = 1, node
+        count += 1
+        node = trees.parent[1, node]
+    for i in range(count):
+        for j in range(out.shape[1]):
+            out[i, j] = trees.nodes[origin[i, 0], origin[i, 1], j]
+    return count
+
+
+@kernel
+def remove_subtree(trees, which, root):
+    """Take node root of one tree and all its descendants out of the search."""
+    nodes, parent = trees.nodes[which], trees.parent[which]
+    nodes[root, 0] = REMOVED
+    for i in range(root + 1, trees.size[which]):
+        if parent[i] >= 0 and nodes[parent[i], 0] == REMOVED:
+            nodes[i, 0] = REMOVED
+
+
+@kernel
+def remove_child_of_segment(trees, origin, segment):
+    """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
+    later_in_start_tree = origin[segment + 1, 0] == 0
+    if later_in_start_tree:
+        remove_subtree(trees, 0, origin[segment + 1, 1])
+    elif origin[segment, 0] == 1:
+        remove_subtree(trees, 1, origin[segment, 1])
+    else:
+        remove_subtree(trees, 1, trees.meeting[1])

@@ -1,0 +1,85 @@
+"""Forward kinematics of a tree of one-degree-of-freedom joints, on plain arrays.
+
+Joint frames are chosen so that every joint turns about, or slides along, its own z axis
+(`Robot` prepares them). Row 0 of every pose array is the world; joint j (0-based) is row j + 1.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import driver, kernel
+
+
+class Kinematics(NamedTuple):
+    """A kinematic tree of n joints.
+
+    Attributes
+    ----------
+    parent: (n,) int64, pose row of the parent frame (0 = world, j + 1 = joint j).
+    rotation: (n, 3, 3), rotation of the joint frame in its parent frame at q = 0.
+    translation: (n, 3), origin of the joint frame in its parent frame at q = 0 [m].
+    prismatic: (n,) bool, True for a slider, False for a hinge.
+    lower, upper: (n,) joint limits [rad or m].
+    moves: (n, n + 1) bool, whether joint j moves pose row k.
+    """
+
+    parent: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    prismatic: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    moves: np.ndarray
+
+
+@kernel
+def forward_kinematics(kinematics, q, link_rotation, link_translation):
+    """Write the pose of every joint frame.
+
+    Parameters
+    ----------
+    q: (n,) joint values [rad or m].
+    link_rotation, link_translation: (n + 1, 3, 3) and (n + 1, 3) [m], overwritten; row 0 is the world.
+    """
+    turn, offset = kinematics.rotation, kinematics.translation
+    for a in range(3):
+        link_translation[0, a] = 0.0
+        for b in range(3):
+            link_rotation[0, a, b] = 1.0 if a == b else 0.0
+    for j in range(q.shape[0]):
+        up = kinematics.parent[j]
+        if kinematics.prismatic[j]:
+            cosine, sine, slide = 1.0, 0.0, q[j]
+        else:
+            cosine, sine, slide = np.cos(q[j]), np.sin(q[j]), 0.0
+        for a in range(3):
+            r0, r1, r2 = link_rotation[up, a, 0], link_rotation[up, a, 1], link_rotation[up, a, 2]
+            x = r0 * turn[j, 0, 0] + r1 * turn[j, 1, 0] + r2 * turn[j, 2, 0]
+            y = r0 * turn[j, 0, 1] + r1 * turn[j, 1, 1] + r2 * turn[j, 2, 1]
+            z = r0 * turn[j, 0, 2] + r1 * turn[j, 1, 2] + r2 * turn[j, 2, 2]
+            link_rotation[j + 1, a, 0] = cosine * x + sine * y
+            link_rotation[j + 1, a, 1] = cosine * y - sine * x
+            link_rotation[j + 1, a, 2] = z
+            shift = r0 * offset[j, 0] + r1 * offset[j, 1] + r2 * offset[j, 2] + slide * z
+            link_translation[j + 1, a] = link_translation[up, a] + shift
+
+
+@driver
+def link_poses(kinematics, configurations):
+    """Poses of all joint frames for many configurations.
+
+    Parameters
+    ----------
+    configurations: (m, n).
+
+    Returns
+    -------
+    rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
+    """
+    m, n = configurations.shape
+    rotations = np.empty((m, n + 1, 3, 3))
+    translations = np.empty((m, n + 1, 3))
+    for i in range(m):
+        forward_kinematics(kinematics, configurations[i], rotations[i], translations[i])
+    return rotations, translations

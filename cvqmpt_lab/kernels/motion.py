@@ -1,0 +1,101 @@
+"""Motions on the constraint manifold: one projected step, and the fine check of a finished motion."""
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.space import posed_state_valid, project_state, state_valid
+
+STOPPED, ADVANCED, REACHED = range(3)
+DEVIATION = (
+    2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
+)
+CLOSE = 1e-9  # [rad] two states closer than this are one
+
+
+@kernel
+def distance(a, b):
+    """Euclidean distance of two configurations (n,) [rad]."""
+    square = 0.0
+    for j in range(a.shape[0]):
+        square += (a[j] - b[j]) * (a[j] - b[j])
+    return np.sqrt(square)
+
+
+@kernel
+def step_towards(space, origin, target, allowance, out):
+    """One step of ConstrainedExtend (paper, Algorithm 3): move, project, check.
+
+    Parameters
+    ----------
+    origin, target: (n,). allowance: how much longer the motion may still become [rad].
+    out: (n,), the new state when the result is not STOPPED.
+
+    Returns
+    -------
+    STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further than
+    DEVIATION * step, exceeds the allowance, does not come closer to the target, or collides.
+    """
+    n = origin.shape[0]
+    remaining = distance(origin, target)
+    fraction = min(1.0, space.step / remaining)
+    for j in range(n):
+        out[j] = origin[j] + fraction * (target[j] - origin[j])
+    if not project_state(space, out):
+        return STOPPED
+    moved = distance(origin, out)
+    left = distance(out, target)
+    if moved > DEVIATION * space.step or moved > allowance or left >= remaining or moved < CLOSE:
+        return STOPPED
+    if not posed_state_valid(space, out):
+        return STOPPED
+    return REACHED if left < CLOSE else ADVANCED
+
+
+@kernel
+def trace_motion(space, origin, target, out):
+    """Walk from origin to target on the manifold into out (k, n), origin not included.
+
+    Returns
+    -------
+    Number of states written when the target was reached, else 0 (also when out is too short).
+    """
+    straight = distance(origin, target)
+    if straight < CLOSE:
+        return 0
+    allowance = DEVIATION * straight
+    for i in range(out.shape[0]):
+        previous = origin if i == 0 else out[i - 1]
+        outcome = step_towards(space, previous, target, allowance, out[i])
+        if outcome == STOPPED:
+            return 0
+        if outcome == REACHED:
+            return i + 1
+        allowance -= distance(previous, out[i])
+    return 0
+
+
+@kernel
+def segment_valid(space, a, b):
+    """Whether the straight joint motion between a and b, ends excluded, is free at space.resolution."""
+    pieces = int(np.ceil(distance(a, b) / space.resolution))
+    stride = 1
+    while stride < pieces:
+        stride *= 2
+    while stride > 1:  # coarse to fine: a collision is found early
+        for k in range(stride // 2, pieces, stride):
+            fraction = k / pieces
+            for j in range(a.shape[0]):
+                space.state[j] = a[j] + fraction * (b[j] - a[j])
+            if not state_valid(space, space.state):
+                return False
+        stride //= 2
+    return True
+
+
+@kernel
+def first_invalid_segment(space, states, count):
+    """Index i of the first segment states[i] -> states[i + 1] that fails the fine check, or -1."""
+    for i in range(count - 1):
+        if not segment_valid(space, states[i], states[i + 1]):
+            return i
+    return -1

@@ -1,0 +1,87 @@
+"""Shortcutting on the constraint manifold: the simplification that every planner's path goes through."""
+
+
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.motion import distance, segment_valid, trace_motion
+
+
+@kernel
+def path_length(states, count):
+    """Sum of distances between the first count rows of states (k, n) [rad]."""
+    total = 0.0
+    for i in range(count - 1):
+        total += distance(states[i], states[i + 1])
+    return total
+
+
+@kernel
+def _locate(states, count, along):
+    """Index of the state nearest before arc length along [rad]."""
+    total = 0.0
+    for i in range(count - 1):
+        total += distance(states[i], states[i + 1])
+        if total > along:
+            return i
+    return count - 1
+
+
+@kernel
+def _replace(states, count, a, b, detour, size):
+    """Put detour (size rows, last one equal to states[b]) between states[a] and states[b]; new count."""
+    shift = a + size - b
+    n = states.shape[1]
+    if shift > 0:
+        for i in range(count - 1, b, -1):
+            for j in range(n):
+                states[i + shift, j] = states[i, j]
+    elif shift < 0:
+        for i in range(b + 1, count):
+            for j in range(n):
+                states[i + shift, j] = states[i, j]
+    for i in range(size):
+        for j in range(n):
+            states[a + 1 + i, j] = detour[i, j]
+    return count + shift
+
+
+@kernel
+def _try_shortcut(space, states, count, a, b, detour):
+    """Replace states[a..b] by a direct motion if that is shorter and free; the new count."""
+    if b - a < 2:
+        return count
+    old = 0.0
+    for i in range(a, b):
+        old += distance(states[i], states[i + 1])
+    if distance(states[a], states[b]) > 0.999 * old:
+        return count
+    size = trace_motion(space, states[a], states[b], detour)
+    if size == 0 or count + size > states.shape[0]:
+        return count
+    new = distance(states[a], detour[0]) + path_length(detour, size)
+    if new > 0.999 * old:
+        return count
+    if not segment_valid(space, states[a], detour[0]):
+        return count
+    for i in range(size - 1):
+        if not segment_valid(space, detour[i], detour[i + 1]):
+            return count
+    return _replace(states, count, a, b, detour, size)
+
+
+@kernel
+def shortcut(space, states, count, picks, detour):
+    """Try one shortcut per row of picks (m, 2), two fractions of the path's length in [0, 1].
+
+    states: (capacity, n), first count rows the path, changed in place. detour: (k, n) room.
+
+    Returns
+    -------
+    The new number of states. Every motion put in has been projected and checked at space.resolution.
+    """
+    for i in range(picks.shape[0]):
+        length = path_length(states, count)
+        low, high = min(picks[i, 0], picks[i, 1]), max(picks[i, 0], picks[i, 1])
+        a = _locate(states, count, low * length)
+        b = min(_locate(states, count, high * length) + 1, count - 1)
+        count = _try_shortcut(space, states, count, a, b, detour)
+    return count

@@ -1,0 +1,120 @@
+"""The planning space as the kernels see it: one bundle of arrays, and the check of one state.
+
+Collision is answered by the compiled checker, or, when `exact` is set, by a callback into Python
+(coal): the planners above are the same compiled code with either.
+"""
+
+import ctypes
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from cvqmpt_lab.kernels.collision import RobotGeometry, SceneGeometry, state_in_collision
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.kinematics import Kinematics, forward_kinematics
+from cvqmpt_lab.kernels.projection import ProjectionScratch, project
+from cvqmpt_lab.kernels.task_space_region import Regions
+
+PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of Space.counters
+
+
+class StateCheck(types.WrapperAddressProtocol):
+    """A Python function ``valid(q) -> bool`` that compiled code can call on the shared array `query`.
+
+    An exception inside it cannot cross compiled code: it is kept, the state counts as invalid, and
+    `reraise` throws it once the kernel has returned.
+    """
+
+    def __init__(self, valid: Callable[[np.ndarray], bool] | None, query: np.ndarray) -> None:
+        self.error: BaseException | None = None
+
+        def call() -> bool:
+            if valid is None or self.error is not None:
+                return False
+            try:
+                return bool(valid(query))
+            except BaseException as error:
+                self.error = error
+                return False
+
+        self._callback = ctypes.CFUNCTYPE(ctypes.c_bool)(call)
+
+    def __wrapper_address__(self) -> int:
+        """Address of the C entry point (numba's wrapper-address protocol)."""
+        address = ctypes.cast(self._callback, ctypes.c_void_p).value
+        assert address is not None
+        return address
+
+    def signature(self) -> types.Type:
+        """Return type and arguments: bool()."""
+        return types.boolean()
+
+    def reraise(self) -> None:
+        """Throw what the function threw, if it did."""
+        if self.error is not None:
+            error, self.error = self.error, None
+            raise error
+
+
+class Space(NamedTuple):
+    """Everything a planning kernel needs.
+
+    Attributes
+    ----------
+    tolerance: of |F| after projection; max_iterations: Newton steps per projection.
+    step: longest motion between neighbouring states [rad]; margin: kept from obstacles [m].
+    resolution: spacing of the final collision check of a motion [rad].
+    exact, check, query: use the callback, the callback, and the array through which it is asked.
+    counters: (4,) int64, rows PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS.
+    state: (n,) work array.
+    """
+
+    kinematics: Kinematics
+    regions: Regions
+    robot: RobotGeometry
+    scene: SceneGeometry
+    tolerance: float
+    max_iterations: int
+    step: float
+    resolution: float
+    margin: float
+    exact: bool
+    check: StateCheck
+    query: np.ndarray
+    counters: np.ndarray
+    state: np.ndarray
+    scratch: ProjectionScratch
+
+
+@kernel
+def project_state(space, q):
+    """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
+    iterations = project(
+        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
+    )
+    if space.scratch.residual.shape[0] > 0:
+        space.counters[PROJECTIONS] += 1
+        space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
+    return iterations >= 0
+
+
+@kernel
+def posed_state_valid(space, q):
+    """Whether q, whose link poses are in the scratch, is free of collision."""
+    space.counters[STATE_CHECKS] += 1
+    if space.exact:
+        for j in range(q.shape[0]):
+            space.query[j] = q[j]
+        return space.check()
+    return not state_in_collision(
+        space.scratch.link_rotation, space.scratch.link_translation, space.robot, space.scene, space.margin
+    )
+
+
+@kernel
+def state_valid(space, q):
+    """Whether q (n,) is free of collision."""
+    forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
+    return posed_state_valid(space, q)

@@ -1,0 +1,218 @@
+"""The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
+
+This file is the door to ompl. Projection, residual, Jacobian and state checks are the same kernels
+that `birrt` uses; parameters are those of the published experiment code.
+"""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from cvqmpt_lab.distributions import SamplingDistribution
+from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus
+from cvqmpt_lab.planning.space import ConstrainedSpace
+
+ou.setLogLevel(ou.LogLevel.LOG_NONE)
+
+DELTA = 0.05  # manifold step [rad]
+EXPLORATION, EPSILON, RHO, ALPHA = 0.8, 0.1, 0.25, math.pi / 8
+MAX_CHARTS, BACKOFF = 200, 0.75
+
+
+class _Manifold(ob.Constraint):
+    """The space's constraint as OMPL asks for it; projection is the whole Newton loop of the kernels."""
+
+    def __init__(self, space: ConstrainedSpace) -> None:
+        super().__init__(space.robot.dof, space.dim, space.settings.tolerance)
+        self._space = space
+
+    def function(self, x: np.ndarray, out: np.ndarray) -> None:
+        """F(x)."""
+        out[:] = self._space.residual_and_jacobian(np.array(x))[0]
+
+    def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
+        """dF/dx at full rank: tangent spaces need rows also inside the bounds."""
+        out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
+
+    def project(self, x: np.ndarray) -> bool:
+        """Move x onto the manifold."""
+        q = np.array(x)
+        if not self._space.project(q):
+            return False
+        x[:] = q
+        return True
+
+
+@dataclass(frozen=True)
+class OmplPlanner:
+    """RRTConnect on one of OMPL's constrained state spaces.
+
+    Attributes
+    ----------
+    manifold: "projected", "atlas" or "tangent-bundle".
+
+    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `plan` is not used: the result
+    says which one was.
+    """
+
+    name: str
+    manifold: str
+
+    def plan(
+        self,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        sampler: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> PlanResult:
+        """Search a path from start (n,) to any row of goals (k, n); see `Planner`."""
+        if space.dim == 0:
+            return _failure(PlanStatus.PLANNER_ERROR, "OMPL's constrained spaces need a constraint")
+        began = time.perf_counter()
+        before = space.counters
+        ou.RNG.setSeed(int(rng.integers(1, 2**31)))
+        search = _Search(self.manifold, space, start, goals)
+        status, path = search.run(budget, began)
+        return PlanResult(
+            status=status,
+            path=path,
+            seconds=time.perf_counter() - began,
+            counters=space.counters_since(before),
+            vertices=search.vertices,
+            sampler="atlas-charts" if self.manifold != "projected" else "uniform",
+        )
+
+
+def _failure(status: PlanStatus, detail: str) -> PlanResult:
+    from cvqmpt_lab.planning.result import Counters
+
+    return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
+
+
+class _Search:
+    """The OMPL objects of one planning run."""
+
+    def __init__(self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray) -> None:
+        self._space = space
+        self._n = space.robot.dof
+        self._lower, self._upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
+        self._q = np.empty(self._n)
+        self._css = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
+        self._css.setDelta(DELTA)
+        information = (
+            ob.TangentBundleSpaceInformation
+            if manifold == "tangent-bundle"
+            else ob.ConstrainedSpaceInformation
+        )
+        self._information = information(self._css)
+        self._information.setStateValidityChecker(self._valid)
+        self._information.setup()
+        self._problem = ob.ProblemDefinition(self._information)
+        self._problem.addStartState(self._state(start, manifold))
+        goal = ob.GoalStates(self._information)
+        for q in goals:
+            goal.addState(self._state(q, manifold))
+        self._problem.setGoal(goal)
+        self._planner = og.RRTConnect(self._information)
+        self._planner.setProblemDefinition(self._problem)
+        self._planner.setup()
+        self.vertices = 0
+
+    def _state(self, q: np.ndarray, manifold: str):
+        """An OMPL state at q; atlas and tangent bundle anchor a chart there."""
+        state = self._css.allocState()
+        state.copy([float(x) for x in q])
+        if manifold != "projected":
+            self._css.anchorChart(state)
+        return state
+
+    def _read(self, state) -> np.ndarray:
+        return np.array([state[i] for i in range(self._n)])
+
+    def _valid(self, state) -> bool:
+        """Inside the limits (OMPL's geodesics do not check them) and free of collision."""
+        q = self._q
+        for i in range(self._n):
+            q[i] = state[i]
+        return bool((q >= self._lower).all() and (q <= self._upper).all() and self._space.valid(q))
+
+    def run(self, budget: Budget, began: float) -> tuple[PlanStatus, Path | None]:
+        """Search until a path passes the fine check or the budget is spent; grazing paths are searched anew."""
+        steps = 0
+
+        def spent() -> bool:
+            nonlocal steps
+            steps += 1
+            self._space.arrays.counters[3] += 1
+            late = budget.seconds is not None and time.perf_counter() - began >= budget.seconds
+            return late or (budget.iterations is not None and steps > budget.iterations)
+
+        while True:
+            solved = self._planner.solve(ob.PlannerTerminationCondition(spent))
+            self.vertices += self._count_vertices()
+            if not self._problem.hasExactSolution():
+                break
+            path = self._dense_path()
+            if path is not None and self._space.states_valid(path.states):
+                return PlanStatus.SOLVED, path
+            self._problem.clearSolutionPaths()
+            self._planner.clear()
+        del solved
+        late = budget.iterations is None or steps <= budget.iterations
+        return PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT, None
+
+    def _count_vertices(self) -> int:
+        data = ob.PlannerData(self._information)
+        self._planner.getPlannerData(data)
+        return data.numVertices()
+
+    def _dense_path(self) -> Path | None:
+        """The solution walked along the manifold at DELTA spacing, every state projected."""
+        solution = self._problem.getSolutionPath()
+        solution.interpolate()
+        states = [self._read(solution.getState(i)) for i in range(solution.getStateCount())]
+        if not all(self._space.project(q) for q in states[1:-1]):
+            return None
+        return Path(np.array(states))
+
+
+def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:
+    joints = ob.RealVectorStateSpace(space.robot.dof)
+    bounds = ob.RealVectorBounds(space.robot.dof)
+    for i, (low, high) in enumerate(zip(space.robot.lower, space.robot.upper, strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    joints.setBounds(bounds)
+    return joints
+
+
+def _with_atlas_parameters(css):
+    css.setExploration(EXPLORATION)
+    css.setEpsilon(EPSILON)
+    css.setRho(RHO)
+    css.setAlpha(ALPHA)
+    css.setMaxChartsPerExtension(MAX_CHARTS)
+    css.setBackoff(BACKOFF)
+    return css
+
+
+def _atlas(joints: ob.RealVectorStateSpace, manifold: _Manifold):
+    css = _with_atlas_parameters(ob.AtlasStateSpace(joints, manifold))
+    css.setSeparated(True)
+    return css
+
+
+STATE_SPACES = {
+    "projected": ob.ProjectedStateSpace,
+    "atlas": _atlas,
+    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(
+        ob.TangentBundleStateSpace(joints, manifold)
+    ),
+}

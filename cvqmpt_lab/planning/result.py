@@ -1,0 +1,90 @@
+"""What planners take and give back: budgets, statuses, counters, timings, paths."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+
+
+class PlanStatus(StrEnum):
+    """How a planning run ended. Everything but SOLVED is a failure with that reason."""
+
+    SOLVED = "solved"
+    TIMEOUT = "timeout"
+    ITERATION_LIMIT = "iteration_limit"
+    NO_GOAL = "no_goal"
+    INVALID_START = "invalid_start"
+    INVALID_GOAL = "invalid_goal"
+    PLANNER_ERROR = "planner_error"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to give up: after seconds, after iterations (bit-for-bit repeatable), or whichever is first."""
+
+    seconds: float | None = None
+    iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is None and self.iterations is None:
+            raise InvalidInputError("a budget needs seconds, iterations or both")
+        for name in ("seconds", "iterations"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InvalidInputError(f"budget {name} must be positive, not {value}")
+
+
+@dataclass(frozen=True)
+class Counters:
+    """Work done, in machine-independent units."""
+
+    projections: int = 0
+    newton_iterations: int = 0
+    state_checks: int = 0
+    iterations: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A motion: straight joint segments between states (m, n), m >= 2 [rad or m]."""
+
+    states: np.ndarray
+
+    @property
+    def length(self) -> float:
+        """Sum of Euclidean distances between neighbouring states [rad]."""
+        return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
+
+    def reversed(self) -> "Path":
+        """The same motion backwards."""
+        return Path(self.states[::-1].copy())
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Nodes (k, n) and the index of each one's parent (k,), -1 for roots."""
+
+    nodes: np.ndarray
+    parent: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """Outcome of one planner run; path is None unless status is SOLVED.
+
+    Attributes
+    ----------
+    seconds: wall time of the search. vertices: nodes in all trees. sampler: name of the distribution used.
+    detail: one line more about a failure, or "".
+    """
+
+    status: PlanStatus
+    path: Path | None
+    seconds: float
+    counters: Counters
+    vertices: int
+    sampler: str
+    trees: tuple[Tree, ...] = field(default=())
+    detail: str = ""

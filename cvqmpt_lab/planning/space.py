@@ -1,0 +1,135 @@
+"""A problem's planning space: limits, projection and state checks, counted, for every planner alike."""
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
+from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.kernels import space as kernels
+from cvqmpt_lab.kernels.bound import BoundSpace, bind, constraint_one, project_one, valid_one
+from cvqmpt_lab.kernels.motion import first_invalid_segment
+from cvqmpt_lab.kernels.projection import projection_scratch
+from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.planning.result import Counters
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.shapes import bounding_radius
+
+BACKENDS = ("compiled", "exact")
+
+
+@dataclass(frozen=True)
+class SpaceSettings:
+    """How finely motions are walked and checked.
+
+    Attributes
+    ----------
+    step: between neighbouring states [rad], the paper's 0.05.
+    resolution: of the last collision check of a motion [rad], the certificate's.
+    margin: kept from obstacles [m].
+    inset: how far inside their bounds regions are planned [m, rad], so that straight joint motions
+        between two states on the rim stay inside.
+    """
+
+    step: float = 0.05
+    resolution: float = 0.01
+    margin: float = 1e-4
+    inset: float = 1e-3
+    tolerance: float = TOLERANCE
+    max_iterations: int = MAX_ITERATIONS
+
+
+class ConstrainedSpace:
+    """Compiled arrays of a problem, with one counter for all who use them.
+
+    backend: "compiled" answers state checks in the kernels, "exact" calls coal; projection and tree
+    growth are the same code with either.
+    """
+
+    def __init__(
+        self, problem: PlanningProblem, backend: str = "compiled", settings: SpaceSettings | None = None
+    ) -> None:
+        if backend not in BACKENDS:
+            raise UnknownChoiceError("backend", backend, BACKENDS)
+        settings = settings or SpaceSettings()
+        self.problem, self.robot, self.backend, self.settings = problem, problem.robot, backend, settings
+        n = problem.robot.dof
+        regions = stack_regions(problem.robot, problem.constraint, settings.inset)
+        query = np.zeros(n)
+        exact = backend == "exact"
+        checker = problem.collision_checker(settings.margin) if exact else None
+        self._check = kernels.StateCheck((lambda q: not checker.in_collision(q)) if checker else None, query)
+        self.arrays = kernels.Space(
+            kinematics=problem.robot.kinematics,
+            regions=regions,
+            robot=robot_arrays(problem.robot, problem.attachments),
+            scene=scene_arrays(problem.scene, _reach(problem)),
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+            step=settings.step,
+            resolution=settings.resolution,
+            margin=settings.margin,
+            exact=exact,
+            check=self._check,
+            query=query,
+            counters=np.zeros(4, dtype=np.int64),
+            state=np.zeros(n),
+            scratch=projection_scratch(n, len(regions.axis)),
+        )
+        self._bound = None
+
+    @property
+    def counters(self) -> Counters:
+        """Work done in this space so far."""
+        return Counters(*(int(c) for c in self.arrays.counters))
+
+    def counters_since(self, before: Counters) -> Counters:
+        """Work done since an earlier reading."""
+        return Counters(
+            *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
+        )
+
+    def reraise(self) -> None:
+        """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C included)."""
+        self._check.reraise()
+
+    @property
+    def bound(self) -> BoundSpace:
+        """The arrays as one handle, for per-state calls."""
+        if self._bound is None:
+            self._bound = bind(self.arrays)
+        return self._bound
+
+    @property
+    def dim(self) -> int:
+        """Number m of bounded rows of the constraint."""
+        return len(self.arrays.regions.axis)
+
+    def project(self, q: np.ndarray) -> bool:
+        """Project q (n,) in place onto the manifold, inside the limits; True on success."""
+        return project_one(self.bound, q)
+
+    def valid(self, q: np.ndarray) -> bool:
+        """Whether q (n,) is free of collision."""
+        answer = valid_one(self.bound, q)
+        self.reraise()
+        return answer
+
+    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """F(q) (m,) and dF/dq (m, n)."""
+        residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
+        constraint_one(self.bound, q, full, residual, jacobian)
+        return residual, jacobian
+
+    def states_valid(self, states: np.ndarray) -> bool:
+        """Whether the straight joint motion through states (m, n) is free at the fine resolution."""
+        states = np.ascontiguousarray(states)
+        answer = first_invalid_segment(self.arrays, states, len(states)) < 0
+        self.reraise()
+        return answer
+
+
+def _reach(problem: PlanningProblem) -> float:
+    """Half edge [m] of the cube that the robot and what it carries cannot leave."""
+    carried = [np.linalg.norm(a.T_hand_object[:3, 3]) + bounding_radius(a.shape) for a in problem.attachments]
+    return problem.robot.reach + max(carried, default=0.0)

@@ -1,0 +1,1 @@
+"""Robots as data; the door to pinocchio."""

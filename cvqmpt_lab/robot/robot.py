@@ -1,0 +1,126 @@
+"""A robot arm as data: joint limits, kinematic arrays, convex collision geometry.
+
+This folder is the door to pinocchio. `Robot` carries the same model twice: as pinocchio objects
+(the exact backend and the certificate) and as plain arrays (the compiled kernels); tests hold the
+two together.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.kinematics import Kinematics
+
+
+@dataclass(frozen=True)
+class LinkGeometry:
+    """One convex piece of a link.
+
+    Attributes
+    ----------
+    name: as in the URDF, e.g. ``panda_link5_0``.
+    link: pose row (0 = world, j + 1 = joint j) that carries it.
+    T_link_geometry: (4, 4).
+    vertices: (n, 3) hull vertices in the geometry frame [m].
+    """
+
+    name: str
+    link: int
+    T_link_geometry: np.ndarray
+    vertices: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A serial arm with n one-degree-of-freedom joints; build it with `panda` or `load_robot`.
+
+    Attributes
+    ----------
+    name: model name. source: what a problem file says to get this robot back.
+    model, collision_model: pinocchio's model and geometry model (convex hulls).
+    end_effector: frame whose pose constraints and goals speak of; end_effector_link: its pose row and T_link_frame.
+    links: convex pieces; self_collision_pairs: index pairs into links that are checked.
+    resting_overlaps: pairs left out because they overlap at the rest configuration.
+    """
+
+    name: str
+    source: dict
+    model: pin.Model
+    collision_model: pin.GeometryModel
+    end_effector: str
+    end_effector_link: tuple[int, np.ndarray]
+    kinematics: Kinematics
+    links: tuple[LinkGeometry, ...]
+    self_collision_pairs: tuple[tuple[int, int], ...]
+    resting_overlaps: tuple[tuple[str, str], ...] = ()
+    _data: pin.Data = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_data", self.model.createData())
+
+    def __reduce__(self):
+        """Pickle by source, so that worker processes rebuild the pinocchio objects."""
+        from cvqmpt_lab.robot.loading import robot_from_source
+
+        return robot_from_source, (self.source,)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints n."""
+        return self.model.nq
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n moving joints, in configuration order."""
+        return tuple(self.model.names)[1:]
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower joint limits (n,) [rad or m]."""
+        return self.kinematics.lower
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper joint limits (n,) [rad or m]."""
+        return self.kinematics.upper
+
+    @cached_property
+    def reach(self) -> float:
+        """Radius [m] of a ball around the base frame that no link, and no end-effector frame, can leave."""
+        k = self.kinematics
+        distance = np.zeros(self.dof + 1)
+        for j in range(self.dof):
+            slide = max(abs(k.lower[j]), abs(k.upper[j])) if k.prismatic[j] else 0.0
+            distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slide
+        link, T = self.end_effector_link
+        ends = [distance[link] + np.linalg.norm(T[:3, 3])]
+        for piece in self.links:
+            points = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
+            ends.append(distance[piece.link] + np.linalg.norm(points, axis=1).max())
+        return float(max(ends))
+
+    def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
+        """T_world_frame (4, 4) by pinocchio; the end effector unless another frame is named."""
+        frame_id = self.model.getFrameId(frame or self.end_effector)
+        if frame_id >= self.model.nframes:
+            raise InvalidInputError(f"robot {self.name} has no frame {frame!r}; see `Robot.frame_names`")
+        pin.forwardKinematics(self.model, self._data, np.asarray(q, dtype=float))
+        return pin.updateFramePlacement(self.model, self._data, frame_id).homogeneous
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the robot's body frames."""
+        return tuple(f.name for f in self.model.frames if f.type == pin.FrameType.BODY)
+
+    def joint_outside_limits(self, q: np.ndarray, tolerance: float = 1e-9) -> tuple[str, float] | None:
+        """Name of the joint furthest outside its limits and by how much [rad or m], or None."""
+        excess = np.maximum(self.lower - q, q - self.upper)
+        worst = int(np.argmax(excess))
+        return (self.joint_names[worst], float(excess[worst])) if excess[worst] > tolerance else None
+
+    def random_configurations(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Uniform configurations (count, n) inside the limits."""
+        return rng.uniform(self.lower, self.upper, (count, self.dof))

@@ -1,0 +1,1 @@
+"""Shapes, scenes and exact collision checking; the door to coal."""

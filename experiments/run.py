@@ -1,0 +1,180 @@
+"""Running planners over a suite: in parallel processes, resumable, every outcome a row."""
+
+import csv
+import io
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.evaluation.metrics import result_row
+from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
+from cvqmpt_lab.evaluation.results import ResultRow, RunKey, RunStore
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.table import planner_named
+from cvqmpt_lab.problem import PlanningProblem
+from experiments.place_task import UnsolvableProblem
+from experiments.suites import suite_named
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is run: problems x planners x seeds of one suite, under one budget."""
+
+    suite: str
+    problems: tuple[int, ...]
+    planners: tuple[str, ...]
+    seeds: tuple[int, ...]
+    budget: Budget
+    backend: str = "compiled"
+
+    def __post_init__(self) -> None:
+        suite = suite_named(self.suite)
+        for index in self.problems:
+            if index not in suite.problems:
+                suite.problem(index)
+        for name in self.planners:
+            planner_named(name)
+        for what in ("problems", "planners", "seeds"):
+            if not getattr(self, what):
+                raise InvalidInputError(f"an experiment needs at least one of {what}")
+
+    def settings(self) -> dict:
+        """What must be equal for a run to be continued: everything that changes a row."""
+        return {
+            "suite": self.suite,
+            "cutoff_s": self.budget.seconds,
+            "iterations": self.budget.iterations,
+            "backend": self.backend,
+        }
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run of one planner on one problem with one seed."""
+
+    suite: str
+    problem: int
+    planner: str
+    seed: int
+    budget: Budget
+    backend: str
+
+    @property
+    def key(self) -> RunKey:
+        """The row it makes."""
+        return RunKey(self.suite, str(self.problem), self.planner, self.seed, self.backend)
+
+
+@lru_cache(maxsize=4)
+def _problem(suite: str, index: int) -> tuple[PlanningProblem | UnsolvableProblem, float]:
+    """A problem with its goals sampled once for all planners, and the seconds that took."""
+    problem = suite_named(suite).problem(index)
+    return (problem, 0.0) if isinstance(problem, UnsolvableProblem) else with_sampled_goals(problem)
+
+
+def run_task(task: Task) -> ResultRow | UnsolvableProblem:
+    """Solve one task; the goal sampling is charged to every planner alike."""
+    problem, goal_seconds = _problem(task.suite, task.problem)
+    if isinstance(problem, UnsolvableProblem):
+        return problem
+    solution = solve(problem, planner_named(task.planner), task.budget, task.seed, backend=task.backend)
+    return result_row(task.suite, task.planner, task.seed, task.backend, solution, goal_seconds)
+
+
+def _warm_up(suite: str, problem: int, backend: str, planners: tuple[str, ...]) -> None:
+    """Load compiled code in a fresh worker, so that no row pays for it."""
+    for planner in planners:
+        run_task(Task(suite, problem, planner, 0, Budget(seconds=5.0, iterations=1), backend))
+    _problem.cache_clear()
+
+
+def run_experiment(
+    experiment: Experiment,
+    out: Path,
+    jobs: int,
+    command: Sequence[str],
+    on_progress: Callable[[int, int, ResultRow | None], None],
+) -> list[ResultRow]:
+    """Run what is not yet in `out` and return all rows, sorted.
+
+    Parameters
+    ----------
+    on_progress: called with (rows done, rows in all, last row or None).
+
+    An interrupt keeps every finished row; the same call continues.
+    """
+    if jobs < 1:
+        raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
+    tasks = [
+        Task(experiment.suite, problem, planner, seed, experiment.budget, experiment.backend)
+        for seed in experiment.seeds
+        for problem in experiment.problems
+        for planner in experiment.planners
+    ]
+    record = provenance(list(command), asdict(experiment), list(experiment.seeds), threads=jobs)
+    unsolvable: dict[str, UnsolvableProblem] = {}
+    with RunStore.open(out, experiment.settings(), record) as store:
+        done = store.done_keys()
+        open_tasks = [task for task in tasks if task.key not in done]
+        finished = len(tasks) - len(open_tasks)
+        on_progress(finished, len(tasks), None)
+        for outcome in _outcomes(open_tasks, experiment, jobs):
+            finished += 1
+            if isinstance(outcome, UnsolvableProblem):
+                unsolvable[outcome.name] = outcome
+                on_progress(finished, len(tasks), None)
+            else:
+                store.append(outcome)
+                on_progress(finished, len(tasks), outcome)
+        store.finish()
+        rows = store.rows()
+    _write_unsolvable(out, unsolvable)
+    return rows
+
+
+def _outcomes(tasks: list[Task], experiment: Experiment, jobs: int):
+    """Outcomes as they come in; a few tasks are in flight at a time, so that an interrupt is quick."""
+    if not tasks:
+        return
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+    setup = (experiment.suite, experiment.problems[0], experiment.backend, experiment.planners)
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), context, initializer=_warm_up, initargs=setup)
+    waiting = iter(tasks)
+    flying: set[Future] = set()
+    try:
+        while True:
+            while len(flying) < 2 * jobs and (task := next(waiting, None)) is not None:
+                flying.add(pool.submit(run_task, task))
+            if not flying:
+                break
+            landed, flying = wait(flying, return_when=FIRST_COMPLETED)
+            for future in landed:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _write_unsolvable(out: Path, unsolvable: dict[str, UnsolvableProblem]) -> None:
+    """Environments without a problem, with the reason, beside the rows."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("problem", "reason"))
+    writer.writerows(
+        (item.name, item.reason) for item in sorted(unsolvable.values(), key=lambda u: int(u.name))
+    )
+    try:
+        write_text_atomic(out / "unsolvable.csv", text.getvalue())
+    except OSError as error:
+        raise RunStoreError(f"cannot write {out / 'unsolvable.csv'}: {error.strerror}") from error
+
+
+def default_jobs() -> int:
+    """One process per core."""
+    return os.cpu_count() or 1

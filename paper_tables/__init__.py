@@ -1,0 +1,1 @@
+"""Published numbers, committed results, and their rendering."""

@@ -1,0 +1,247 @@
+"""The kitchen against measurements of the published one, its joints, and other kitchens."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.scene.kitchen import KitchenParameters, kitchen
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import Box, Cylinder
+
+TOLERANCE = 0.005  # [m]
+
+CLOSED = {  # piece: centre, size of the box around it [m], all doors closed
+    "robot_pedestal": ((-0.050, 0.000, -0.385), (0.250, 0.250, 0.750)),
+    "walls/back": ((0.932, 0.630, 0.752), (0.130, 3.500, 2.750)),
+    "walls/right": ((0.408, -1.055, 0.752), (0.914, 0.130, 2.750)),
+    "indigo/countertop": ((0.541, -0.573, 0.159), (0.650, 0.835, 0.037)),
+    "hitman/countertop": ((0.541, 1.275, 0.159), (0.650, 1.200, 0.037)),
+    "range/block": ((0.500, 0.260, -0.288), (0.710, 0.760, 0.920)),
+    "range/plate_front_left": ((0.435, 0.470, 0.172), (0.250, 0.250, 0.001)),
+    "range/plate_front_right": ((0.435, 0.050, 0.172), (0.250, 0.250, 0.001)),
+    "range/plate_back_left": ((0.685, 0.515, 0.172), (0.160, 0.160, 0.001)),
+    "range/plate_back_right": ((0.685, 0.005, 0.172), (0.160, 0.160, 0.001)),
+    "range/control_panel": ((0.207, 0.260, 0.174), (0.125, 0.760, 0.004)),
+    "range/knob_outer_left": ((0.2075, 0.590, 0.187), (0.050, 0.050, 0.025)),
+    "range/knob_inner_left": ((0.2075, 0.515, 0.187), (0.050, 0.050, 0.025)),
+    "range/knob_inner_right": ((0.2075, 0.005, 0.187), (0.050, 0.050, 0.025)),
+    "range/knob_outer_right": ((0.2075, -0.070, 0.187), (0.050, 0.050, 0.025)),
+    "extractor_hood": ((0.640, 0.260, 1.097), (0.560, 0.760, 0.660)),
+    "dagger/cell1_bottom": ((0.683, -0.345, 0.636), (0.366, 0.343, 0.019)),
+    "dagger/cell1_top": ((0.683, -0.345, 1.379), (0.366, 0.343, 0.019)),
+    "dagger/cell1_side_right": ((0.683, -0.526, 1.008), (0.366, 0.019, 0.762)),
+    "dagger/cell1_side_left": ((0.683, -0.165, 1.008), (0.366, 0.019, 0.762)),
+    "dagger/cell0_bottom": ((0.683, -0.727, 0.636), (0.366, 0.343, 0.019)),
+    "dagger/cell0_top": ((0.683, -0.727, 1.379), (0.366, 0.343, 0.019)),
+    "dagger/cell0_side_right": ((0.683, -0.907, 1.008), (0.366, 0.019, 0.762)),
+    "dagger/cell0_side_left": ((0.683, -0.545, 1.008), (0.366, 0.019, 0.762)),
+    "dagger_door_left/panel": ((0.490, -0.345, 1.007), (0.019, 0.380, 0.760)),
+    "dagger_door_left/handle_bar": ((0.441, -0.485, 0.757), (0.015, 0.015, 0.245)),
+    "dagger_door_left/handle_post_lower": ((0.461, -0.485, 0.679), (0.040, 0.010, 0.010)),
+    "dagger_door_left/handle_post_upper": ((0.461, -0.485, 0.835), (0.040, 0.010, 0.010)),
+    "dagger_door_right/panel": ((0.490, -0.727, 1.007), (0.019, 0.380, 0.760)),
+    "dagger_door_right/handle_bar": ((0.441, -0.587, 0.757), (0.015, 0.015, 0.245)),
+    "sektion/cell0_bottom": ((0.683, 0.866, 0.737), (0.366, 0.343, 0.019)),
+    "sektion/cell2_top": ((0.683, 1.627, 1.480), (0.366, 0.343, 0.019)),
+    "chewie_door_left/handle_bar": ((0.441, 1.107, 0.857), (0.015, 0.015, 0.245)),
+    "baker_door/panel": ((0.490, 1.627, 1.107), (0.019, 0.380, 0.760)),
+    "hitman/back": ((0.846, 1.056, -0.240), (0.040, 0.762, 0.763)),
+    "hitman_drawer_top/front_panel": ((0.241, 1.053, -0.053), (0.019, 0.759, 0.375)),
+    "hitman_drawer_bottom/tray": ((0.507, 1.056, -0.570), (0.512, 0.699, 0.012)),
+    "indigo_drawer_bottom/handle_bar": ((0.199, -0.536, -0.057), (0.015, 0.245, 0.015)),
+    "indigo_door_left/panel": ((0.244, -0.345, -0.374), (0.020, 0.381, 0.508)),
+    "indigo_door_right/handle_bar": ((0.192, -0.597, -0.274), (0.015, 0.015, 0.245)),
+}
+
+OPENED = {  # door angle [rad]: centres of the parts of dagger_door_left [m]
+    -1.57: {
+        "panel": (0.310, -0.145, 1.007),
+        "handle_bar": (0.170, -0.096, 0.757),
+        "handle_post_lower": (0.170, -0.116, 0.679),
+        "handle_post_upper": (0.170, -0.116, 0.835),
+    },
+    -0.45 * math.pi: {"panel": (0.311, -0.175, 1.007), "handle_bar": (0.165, -0.148, 0.757)},
+}
+
+HINGES = {  # hinge: x, y of its vertical axis [m], range [rad]
+    "dagger_door_left": (0.5000, -0.1550, -1.57, 0.00),
+    "dagger_door_right": (0.5000, -0.9170, 0.00, 1.57),
+    "chewie_door_right": (0.5000, 0.6750, 0.00, 1.57),
+    "chewie_door_left": (0.5000, 1.4370, -1.57, 0.00),
+    "baker_door": (0.5000, 1.4370, 0.00, 1.57),
+    "indigo_door_right": (0.2438, -0.9117, 0.00, 1.57),
+    "indigo_door_left": (0.2438, -0.1603, -1.57, 0.00),
+}
+
+DRAWERS = ("hitman_drawer_top", "hitman_drawer_bottom", "indigo_drawer_top", "indigo_drawer_bottom")
+
+
+def bounds(item):
+    """Lower and upper corner (3,) of the axis-aligned box around a box or cylinder in the world."""
+    R, centre = item.T_world_object[:3, :3], item.T_world_object[:3, 3]
+    if isinstance(item.shape, Box):
+        half = np.abs(R) @ np.array(item.shape.size) / 2
+    else:
+        along = np.abs(R[:, 2])
+        half = along * item.shape.height / 2 + item.shape.radius * np.sqrt(1.0 - np.minimum(along, 1.0) ** 2)
+    return centre - half, centre + half
+
+
+def random_parameters(seed):
+    """Another kitchen: a few main dimensions changed by up to a fifth, the rest follows."""
+    rng = np.random.default_rng(seed)
+    names = (
+        "cabinet_width",
+        "wall_cabinet_depth",
+        "wall_cabinet_height",
+        "base_cabinet_height",
+        "board_thickness",
+        "door_thickness",
+        "range_width",
+        "handle_length",
+        "range_side_gap",
+    )
+    changed = {name: getattr(KitchenParameters(), name) * rng.uniform(0.85, 1.2) for name in names}
+    return KitchenParameters(
+        **changed, base_cabinet_depth=rng.uniform(0.57, 0.65), back_wall_width=5.0, left_countertop_width=1.5
+    )
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_pieces_are_where_they_were_measured(name):
+    lower, upper = bounds(kitchen()[name])
+    centre, size = CLOSED[name]
+    np.testing.assert_allclose((lower + upper) / 2, centre, atol=TOLERANCE)
+    np.testing.assert_allclose(upper - lower, size, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("angle", OPENED)
+def test_the_opened_door_is_where_it_was_measured(angle):
+    scene = kitchen(door_angles={"dagger_door_left": angle})
+    for part, centre in OPENED[angle].items():
+        T = scene[f"dagger_door_left/{part}"].T_world_object
+        np.testing.assert_allclose(T[:3, 3], centre, atol=TOLERANCE, err_msg=part)
+    R = scene["dagger_door_left/panel"].T_world_object[:3, :3]
+    assert math.atan2(R[1, 0], R[0, 0]) == pytest.approx(angle)
+    unmoved = [item for item in kitchen() if not item.name.startswith("dagger_door_left/")]
+    assert all(scene[item.name] == item for item in unmoved)
+
+
+def test_number_and_kind_of_pieces():
+    scene = kitchen()
+    assert len(scene.objects) == 107
+    assert [item.name for item in scene if not item.obstacle] == ["floor"]
+    assert bounds(scene["floor"])[1][2] == pytest.approx(-0.750)
+    cylinders = {item.name for item in scene if isinstance(item.shape, Cylinder)}
+    assert cylinders == {
+        item.name for item in scene if any(w in item.name for w in ("plate_", "knob", "handle"))
+    }
+    assert "range/plate_front_left" in cylinders and "dagger_door_left/handle_bar" in cylinders
+
+
+def test_hinges_have_the_measured_axes_and_ranges():
+    scene = kitchen()
+    assert {j.name for j in scene.articulations if j.kind == "hinge"} == set(HINGES)
+    for name, (x, y, lower, upper) in HINGES.items():
+        joint = scene.articulation(name)
+        np.testing.assert_allclose(joint.T_world_joint[:2, 3], (x, y), atol=0.001, err_msg=name)
+        np.testing.assert_array_equal(joint.T_world_joint[:3, 2], (0.0, 0.0, 1.0))
+        assert (joint.lower, joint.upper, joint.value) == (lower, upper, 0.0)
+        assert set(joint.moves) == {item.name for item in scene if item.name.startswith(f"{name}/")}
+        assert len(joint.moves) == 4
+
+
+def test_every_door_opens_towards_the_room():
+    for name, (_, _, lower, upper) in HINGES.items():
+        opened = kitchen(door_angles={name: lower + upper})
+        before, after = kitchen()[f"{name}/panel"], opened[f"{name}/panel"]
+        assert after.T_world_object[0, 3] < before.T_world_object[0, 3] - 0.15, name
+
+
+@pytest.mark.parametrize("name", DRAWERS)
+def test_drawers_slide_out_of_their_cabinet(name):
+    scene = kitchen()
+    pulled = kitchen(door_angles={name: 0.4})
+    for item in scene:
+        shift = pulled[item.name].T_world_object[:3, 3] - item.T_world_object[:3, 3]
+        expected = (-0.4, 0.0, 0.0) if item.name.startswith(f"{name}/") else (0.0, 0.0, 0.0)
+        np.testing.assert_allclose(shift, expected, atol=1e-12, err_msg=item.name)
+
+
+def test_joint_and_json_round_trips():
+    scene = kitchen()
+    moved = kitchen(door_angles={"dagger_door_left": -1.57, "baker_door": 0.8, "hitman_drawer_top": 0.2})
+    assert Scene.from_dict(moved.to_dict()) == moved
+    assert moved != scene
+    for joint in moved.articulations:
+        moved = moved.with_joint(joint.name, 0.0)
+    for item in scene:
+        np.testing.assert_allclose(moved[item.name].T_world_object, item.T_world_object, atol=1e-12)
+
+
+def test_unusable_angles_and_parameters_are_refused():
+    with pytest.raises(UnknownChoiceError, match=r"'fridge'; valid choices: .*dagger_door_left"):
+        kitchen(door_angles={"fridge": 0.1})
+    with pytest.raises(InvalidInputError, match=r"\[-1\.57, 0\.0\] rad"):
+        kitchen(door_angles={"dagger_door_left": 0.1})
+    with pytest.raises(InvalidInputError, match=r"KitchenParameters\.cabinet_width.*-0\.3"):
+        KitchenParameters(cabinet_width=-0.3)
+    with pytest.raises(InvalidInputError, match=r"KitchenParameters\.range_y.*nan"):
+        KitchenParameters(range_y=math.nan)
+    with pytest.raises(InvalidInputError, match="drawer_length reaches through the back"):
+        KitchenParameters(drawer_length=0.6)
+    with pytest.raises(InvalidInputError, match="wall_cabinet_height is below the handle"):
+        KitchenParameters(wall_cabinet_height=0.2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_other_kitchens_fit_together(seed):
+    p = random_parameters(seed)
+    scene = kitchen(p)
+    assert scene.names == kitchen().names
+    assert scene.content_hash() != kitchen().content_hash()
+    for door, cell in {
+        "dagger_door_left": "dagger/cell1",
+        "dagger_door_right": "dagger/cell0",
+        "chewie_door_right": "sektion/cell0",
+        "chewie_door_left": "sektion/cell1",
+        "baker_door": "sektion/cell2",
+    }.items():
+        panel = np.array(bounds(scene[f"{door}/panel"]))
+        cell_box = np.array([bounds(scene[f"{cell}_side_right"])[0], bounds(scene[f"{cell}_side_left"])[1]])
+        np.testing.assert_allclose(panel[1, 0], cell_box[0, 0], atol=1e-9)
+        np.testing.assert_allclose(panel[:, 1:], cell_box[:, 1:], atol=0.5 * p.door_gap + 1e-9)
+        hinge = scene.articulation(door)
+        edge = cell_box[0 if hinge.upper > 0.0 else 1, 1]
+        np.testing.assert_allclose(hinge.T_world_joint[:2, 3], (cell_box[0, 0], edge), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_drawers_and_handles_of_other_kitchens_fit(seed):
+    scene = kitchen(random_parameters(seed))
+    for drawer in DRAWERS:
+        cabinet = drawer.split("_")[0]
+        low, high = bounds(scene[f"{drawer}/bottom"])
+        assert low[1] > bounds(scene[f"{cabinet}/side_right"])[1][1]
+        assert high[1] < bounds(scene[f"{cabinet}/side_left"])[0][1]
+        assert high[0] < bounds(scene[f"{cabinet}/back"])[0][0]
+        assert bounds(scene[f"{drawer}/side_left"])[1][2] < bounds(scene[f"{cabinet}/countertop"])[0][2]
+    for bar in (item for item in scene if item.name.endswith("handle_bar")):
+        part = bar.name.split("/")[0]
+        panel = scene[f"{part}/front_panel" if part in DRAWERS else f"{part}/panel"]
+        (bar_low, bar_high), (low, high) = bounds(bar), bounds(panel)
+        assert bar_high[0] < low[0], bar.name
+        assert (bar_low[1:] >= low[1:]).all() and (bar_high[1:] <= high[1:]).all(), bar.name
+        for post in (item for item in scene if item.name.startswith(f"{part}/handle_post")):
+            post_low, post_high = bounds(post)
+            assert post_low[0] <= bar_high[0] and post_high[0] >= low[0] - 0.0021, post.name
+
+
+def test_moving_the_range_moves_the_kitchen_along_the_wall():
+    moved, scene = kitchen(KitchenParameters(range_y=0.360)), kitchen()
+    for item in scene:
+        shift = moved[item.name].T_world_object[:3, 3] - item.T_world_object[:3, 3]
+        expected = 0.0 if item.name in ("robot_pedestal", "floor") else 0.1
+        np.testing.assert_allclose(shift, (0.0, expected, 0.0), atol=1e-12, err_msg=item.name)

@@ -1,0 +1,80 @@
+"""Random environments: shapes, ranges, order of the draws."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.scene import pose
+from cvqmpt_lab.scene.shapes import Box, Sphere
+
+
+def drawn_by_hand(seed, n_cubes, n_spheres):
+    """Cube poses and sphere positions from the generator's raw uniforms, one loop per object."""
+    uniforms = iter(np.random.RandomState(seed).random_sample(4 * n_cubes + 3 * n_spheres))
+
+    def centres(count, lift):
+        r = [0.4 + 0.8 * next(uniforms) for _ in range(count)]
+        elevation = [math.radians(-45.0 + 135.0 * next(uniforms)) for _ in range(count)]
+        azimuth = [math.radians(360.0 * next(uniforms)) for _ in range(count)]
+        return [
+            (
+                r[i] * math.cos(elevation[i]) * math.cos(azimuth[i]),
+                r[i] * math.cos(elevation[i]) * math.sin(azimuth[i]),
+                r[i] * math.sin(elevation[i]) + lift,
+            )
+            for i in range(count)
+        ]
+
+    cubes = centres(n_cubes, 0.5)
+    yaws = [2.0 * math.pi * next(uniforms) for _ in range(n_cubes)]
+    return [pose(xyz, yaw) for xyz, yaw in zip(cubes, yaws, strict=True)], centres(n_spheres, 0.33)
+
+
+@pytest.mark.parametrize(("seed", "n_cubes", "n_spheres"), [(0, 8, 8), (2000, 8, 8), (7, 6, 3), (1, 0, 2)])
+def test_objects_follow_the_documented_draws(seed, n_cubes, n_spheres):
+    scene = random_scene(seed, n_cubes, n_spheres)
+    cube_poses, sphere_centres = drawn_by_hand(seed, n_cubes, n_spheres)
+    assert len(scene.objects) == len(scene.obstacles) == n_cubes + n_spheres
+    for i, T in enumerate(cube_poses):
+        np.testing.assert_allclose(scene[f"cube_{i}"].T_world_object, T, atol=1e-12)
+        assert scene[f"cube_{i}"].shape == Box((0.2, 0.2, 0.2))
+    for i, centre in enumerate(sphere_centres):
+        np.testing.assert_allclose(scene[f"sphere_{i}"].T_world_object, pose(centre), atol=1e-12)
+        assert scene[f"sphere_{i}"].shape == Sphere(0.15)
+
+
+def test_environments_are_reproducible_and_differ():
+    assert random_scene(5) == random_scene(5)
+    assert random_scene(5).content_hash() != random_scene(6).content_hash()
+
+
+def test_distances_fill_the_shell():
+    for prefix, lift in (("cube", 0.5), ("sphere", 0.33)):
+        centres = np.array(
+            [
+                item.T_world_object[:3, 3] - (0.0, 0.0, lift)
+                for seed in range(50)
+                for item in random_scene(seed)
+                if item.name.startswith(prefix)
+            ]
+        )
+        distance = np.linalg.norm(centres, axis=1)
+        elevation = np.arcsin(centres[:, 2] / distance)
+        assert 0.4 <= distance.min() < 0.42 and 1.18 < distance.max() <= 1.2
+        assert -math.pi / 4 <= elevation.min() < -0.7 and 1.5 < elevation.max() <= math.pi / 2
+
+
+def test_the_global_generator_is_left_alone():
+    np.random.seed(3)  # noqa: NPY002
+    expected = np.random.RandomState(3).random_sample()
+    random_scene(11)
+    assert np.random.random_sample() == expected  # noqa: NPY002
+
+
+@pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 0.5}, {"seed": 0, "n_cubes": -1}, {"seed": True}])
+def test_numbers_that_are_no_counts_are_refused(bad):
+    with pytest.raises(InvalidInputError, match="must be an integer"):
+        random_scene(**bad)

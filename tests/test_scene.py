@@ -1,0 +1,309 @@
+"""Shapes, scene objects, articulations and scenes: validation, motion and JSON."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.scene.objects import CAN, can, cracker_box, mustard_bottle
+from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import (
+    Box,
+    ConvexMesh,
+    Cylinder,
+    PointCloud,
+    Shape,
+    Sphere,
+    bounding_radius,
+    shape_from_dict,
+    shape_to_dict,
+    shape_vertices,
+)
+
+TETRAHEDRON = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
+SHAPES: list[Shape] = [
+    Box((0.1, 0.2, 0.3)),
+    Cylinder(0.3, 0.8),
+    Sphere(0.25),
+    ConvexMesh(TETRAHEDRON),
+    PointCloud(np.array([[1.0, 0.0, 0.0], [0.0, -2.0, 0.0]]), 0.05),
+]
+
+
+def tilted_pose():
+    """A pose whose rotation is about no world axis."""
+    T = pose((0.1, -0.2, 1.0 / 3.0), 0.7)
+    cosine, sine = math.cos(0.4), math.sin(0.4)
+    T[:3, :3] = T[:3, :3] @ np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    return T
+
+
+def small_scene(hinge_value=0.0):
+    """A wall, a door hinged at (1, 0), a drawer that slides along -x, and a visible floor."""
+    T_slider = np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    return Scene(
+        "small",
+        (
+            SceneObject("wall", Box((0.1, 2.0, 2.0)), pose((2.0, 0.0, 0.0))),
+            SceneObject("door/panel", Box((0.02, 0.4, 0.7)), pose((1.0, 0.2, 0.0))),
+            SceneObject("drawer/tray", Box((0.5, 0.4, 0.1)), pose((1.2, 0.8, 0.0))),
+            SceneObject("floor", Box((9.0, 9.0, 0.1)), pose((0.0, 0.0, -1.0)), obstacle=False),
+        ),
+        (
+            Articulation(
+                "door", "hinge", pose((1.0, 0.0, 0.0), 0.3), 0.0, 1.57, hinge_value, ("door/panel",)
+            ),
+            Articulation("drawer", "slider", T_slider, 0.0, 0.4, 0.1, ("drawer/tray",)),
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Box((0.1, 0.0, 0.2)), "Box size"),
+        (lambda: Box((0.1, 0.2)), "Box size"),  # type: ignore[arg-type]
+        (lambda: Box((0.1, math.nan, 0.2)), "nan"),
+        (lambda: Cylinder(-0.1, 0.2), "Cylinder radius"),
+        (lambda: Cylinder(0.1, math.inf), "Cylinder height"),
+        (lambda: Sphere("big"), "'big'"),  # type: ignore[arg-type]
+        (lambda: ConvexMesh(TETRAHEDRON[:3]), "3 points"),
+        (lambda: ConvexMesh(TETRAHEDRON * (1.0, 1.0, 0.0)), "span a volume"),
+        (lambda: ConvexMesh(np.where(TETRAHEDRON == 3.0, math.nan, TETRAHEDRON)), "row 3"),
+        (lambda: PointCloud(np.zeros((0, 3)), 0.1), r"\(0, 3\)"),
+        (lambda: PointCloud(np.zeros((4, 2)), 0.1), r"\(4, 2\)"),
+        (lambda: PointCloud(np.zeros((4, 3)), 0.0), "PointCloud radius"),
+    ],
+)
+def test_unusable_shapes_are_refused_and_named(make, named):
+    with pytest.raises(InvalidInputError, match=named):
+        make()
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+def test_shapes_survive_json(shape):
+    copy = shape_from_dict(json.loads(json.dumps(shape_to_dict(shape))))
+    assert copy == shape
+    assert hash(copy) == hash(shape)
+    assert all(copy != other for other in SHAPES if other is not shape)
+
+
+@pytest.mark.parametrize(
+    ("data", "error", "named"),
+    [
+        ({"type": "cone", "radius": 1.0}, UnknownChoiceError, "cone.*box, cylinder, sphere"),
+        ({"radius": 1.0}, InvalidInputError, "missing field 'type'"),
+        ({"type": "cylinder", "radius": 1.0}, InvalidInputError, "missing field 'height'"),
+        ({"type": "sphere", "radius": 1.0, "colour": "red"}, InvalidInputError, "unknown field 'colour'"),
+        ({"type": "sphere", "radius": -1.0}, InvalidInputError, "Sphere radius.*-1.0"),
+        ([1, 2], InvalidInputError, "type"),
+    ],
+)
+def test_malformed_shape_dictionaries_name_the_field(data, error, named):
+    with pytest.raises(error, match=named):
+        shape_from_dict(data)
+
+
+def test_arrays_inside_shapes_and_poses_are_read_only_copies():
+    points = TETRAHEDRON.copy()
+    mesh = ConvexMesh(points)
+    points[0] = 9.0
+    assert mesh == ConvexMesh(TETRAHEDRON)
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        small_scene()["wall"].T_world_object[0, 3] = 1.0
+
+
+def test_vertices_and_bounding_radius():
+    corners = shape_vertices(Box((2.0, 4.0, 6.0)))
+    assert corners.shape == (8, 3)
+    np.testing.assert_array_equal(corners.max(axis=0), (1.0, 2.0, 3.0))
+    np.testing.assert_array_equal(corners.min(axis=0), (-1.0, -2.0, -3.0))
+    assert len(np.unique(corners, axis=0)) == 8
+    np.testing.assert_allclose(
+        [bounding_radius(shape) for shape in SHAPES], [math.sqrt(0.14) / 2, 0.5, 0.25, 3.0, 2.05]
+    )
+    with pytest.raises(InvalidInputError, match="Sphere"):
+        shape_vertices(Sphere(1.0))  # type: ignore[arg-type]
+
+
+def test_pose_turns_about_the_vertical():
+    point = pose((1.0, 2.0, 3.0), math.pi / 2) @ (1.0, 0.0, 0.0, 1.0)
+    np.testing.assert_allclose(point, (1.0, 3.0, 3.0, 1.0), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [np.eye(3), 2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), math.nan), "upright"],
+    ids=["3x3", "scaled", "mirrored", "nan", "text"],
+)
+def test_poses_that_are_not_rigid_are_refused(bad):
+    with pytest.raises(InvalidInputError, match="T_world_object of object 'cup'"):
+        SceneObject("cup", Sphere(0.1), bad)
+
+
+def test_hinge_turns_its_parts_about_its_axis_and_nothing_else():
+    closed = small_scene()
+    opened = closed.with_joint("door", 1.2)
+    np.testing.assert_allclose(
+        opened["door/panel"].T_world_object,
+        pose((1.0 - 0.2 * math.sin(1.2), 0.2 * math.cos(1.2), 0.0), 1.2),
+        atol=1e-12,
+    )
+    assert opened.articulation("door").value == 1.2
+    assert all(opened[name] == closed[name] for name in ("wall", "drawer/tray", "floor"))
+    assert closed.articulation("door").value == 0.0
+
+
+def test_slider_moves_its_parts_along_its_axis():
+    pulled = small_scene().with_joint("drawer", 0.4)
+    np.testing.assert_allclose(pulled["drawer/tray"].T_world_object, pose((0.9, 0.8, 0.0)), atol=1e-12)
+
+
+def test_joint_round_trip_returns_every_pose():
+    closed = small_scene()
+    back = closed.with_joint("door", 1.5).with_joint("door", 0.4).with_joint("door", 0.0)
+    for item in closed:
+        np.testing.assert_allclose(back[item.name].T_world_object, item.T_world_object, atol=1e-12)
+
+
+def test_values_outside_a_range_name_the_range():
+    with pytest.raises(InvalidInputError, match=r"1\.6.*'door'.*\[0\.0, 1\.57\] rad"):
+        small_scene().with_joint("door", 1.6)
+    with pytest.raises(InvalidInputError, match=r"\[0\.0, 0\.4\] m"):
+        small_scene().with_joint("drawer", math.nan)
+    with pytest.raises(InvalidInputError, match=r"2\.0"):
+        small_scene(hinge_value=2.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"kind": "screw"}, "screw.*hinge, slider"),
+        ({"lower": 2.0}, "lower 2.0"),
+        ({"upper": math.inf}, "upper"),
+        ({"moves": "door/panel"}, "moves"),
+    ],
+)
+def test_unusable_articulations_are_refused(change, named):
+    good = small_scene().articulation("door").to_dict()
+    with pytest.raises((InvalidInputError, UnknownChoiceError), match=named):
+        Articulation(**{**good, **change})
+
+
+def test_scene_names_are_unique_and_articulations_move_known_objects_once():
+    scene = small_scene()
+    door = scene.articulation("door")
+    with pytest.raises(InvalidInputError, match="'wall' occurs twice"):
+        scene.with_objects(scene["wall"])
+    with pytest.raises(InvalidInputError, match="'door' occurs twice"):
+        Scene("twice", scene.objects, (door, door))
+    with pytest.raises(InvalidInputError, match="moves 'door/panel'"):
+        Scene("lost", (scene["wall"],), (door,))
+    other = Articulation("other", "hinge", pose((0.0, 0.0, 0.0)), 0.0, 1.0, 0.0, ("door/panel",))
+    with pytest.raises(InvalidInputError, match="'door/panel' occurs twice"):
+        Scene("both", scene.objects, (door, other))
+
+
+def test_lookup_adding_removing_and_moving():
+    scene = small_scene()
+    assert "wall" in scene and "window" not in scene
+    assert [item.name for item in scene.obstacles] == ["wall", "door/panel", "drawer/tray"]
+    with pytest.raises(UnknownChoiceError, match=r"'window'; valid choices: wall, door/panel"):
+        scene["window"]
+    with pytest.raises(UnknownChoiceError, match="'window'"):
+        scene.without("window")
+    with pytest.raises(UnknownChoiceError, match="'lid'; valid choices: door, drawer"):
+        scene.with_joint("lid", 0.0)
+    more = scene.with_objects(SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0))))
+    assert more.names == (*scene.names, "cup")
+    assert more.without("cup") == scene
+    less = scene.without("door/panel")
+    assert [joint.name for joint in less.articulations] == ["drawer"]
+    T = tilted_pose()
+    moved = scene.moved("wall", T)
+    np.testing.assert_array_equal(moved["wall"].T_world_object, T)
+    assert moved.names == scene.names
+    assert moved != scene
+
+
+def test_scenes_are_equal_and_hash_equal_by_content(tmp_path):
+    cloud = SceneObject("cloud", SHAPES[4], tilted_pose())
+    scene = small_scene().with_joint("door", 1.1).with_objects(cloud)
+    assert Scene.from_dict(scene.to_dict()) == scene
+    path = tmp_path / "scene.json"
+    scene.save(path)
+    loaded = Scene.load(path)
+    assert loaded == scene
+    assert loaded.content_hash() == scene.content_hash()
+    assert hash(loaded) == hash(scene)
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
+    nudged = scene.moved("wall", pose((2.0 + 1e-12, 0.0, 0.0)))
+    assert nudged != scene
+    assert nudged.content_hash() != scene.content_hash()
+
+
+def test_minus_zero_is_the_same_content():
+    zero = Scene("zero", (SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0))),))
+    minus = Scene("zero", (SceneObject("cup", Sphere(0.1), pose((-0.0, 0.0, 0.0))),))
+    assert zero == minus
+    assert zero.content_hash() == minus.content_hash()
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        (lambda data: data.pop("objects"), "missing field 'objects'"),
+        (lambda data: data.update(objects={}), "'objects' must be a list"),
+        (lambda data: data["objects"][1].pop("T_world_object"), r"objects\[1\].*'T_world_object'"),
+        (lambda data: data["objects"][1].update(obstacle="yes"), r"objects\[1\].*obstacle.*'yes'"),
+        (lambda data: data["objects"][2]["shape"].pop("size"), r"objects\[2\]\.shape.*'size'"),
+        (lambda data: data["objects"][2]["shape"].update(type="cone"), r"'cone'"),
+        (lambda data: data["articulations"][0].update(value=9.0), r"articulations\[0\].*9\.0"),
+        (lambda data: data["articulations"][0].update(moves=[3]), r"moves of articulation 'door'.*\[3\]"),
+        (lambda data: data["articulations"][0].update(moves=["lid"]), r"moves 'lid'"),
+        (lambda data: data["articulations"].append(7), r"articulations\[2\]"),
+        (lambda data: data.update(name=None), "Scene name"),
+    ],
+)
+def test_damaged_files_name_file_and_field(tmp_path, damage, named):
+    data = small_scene().to_dict()
+    damage(data)
+    path = tmp_path / "damaged.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(InvalidInputError, match=named) as caught:
+        Scene.load(path)
+    assert "damaged.json" in str(caught.value)
+
+
+def test_missing_and_broken_files_are_named(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"nowhere\.json"):
+        Scene.load(tmp_path / "nowhere.json")
+    (tmp_path / "broken.json").write_text('{"name": ')
+    with pytest.raises(InvalidInputError, match=r"broken\.json"):
+        Scene.load(tmp_path / "broken.json")
+
+
+def test_can_link_and_centre_of_mass_positions_agree():
+    by_link = CAN.at_link("can", (0.5, -0.3, 0.171))
+    by_com = can("can", (0.495, -0.290, 0.271))
+    np.testing.assert_allclose(by_com.T_world_object, by_link.T_world_object, atol=1e-12)
+    np.testing.assert_allclose(by_link.T_world_object, pose((0.495, -0.288, 0.2975)), atol=1e-12)
+    assert by_com.shape == Cylinder(0.0746 / 2, 0.242)
+    turned = can("can", (0.1, 0.2, 0.3), yaw=1.0)
+    np.testing.assert_allclose(CAN.com_of(turned), (0.1, 0.2, 0.3), atol=1e-12)
+
+
+def test_counter_objects_stand_where_their_centre_of_mass_says():
+    box = cracker_box("crackers", (0.6, -0.6, 0.3), yaw=-math.pi / 4)
+    offset = pose((0.0, 0.0, 0.0), -math.pi / 4)[:3, :3] @ (-0.002, -0.001, 0.015)
+    np.testing.assert_allclose(box.T_world_object[:3, 3], np.array([0.6, -0.6, 0.3]) + offset, atol=1e-12)
+    bottle = mustard_bottle("mustard", (0.5, -0.3, 0.25), obstacle=False)
+    assert bottle.shape == Box((0.0589, 0.0986, 0.1905))
+    assert bottle.T_world_object[2, 3] == pytest.approx(0.2775)
+    assert not bottle.obstacle
+    with pytest.raises(InvalidInputError, match="position of 'can'"):
+        can("can", (0.0, 0.0))
