@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.compiling import inlined, kernel
 from cvqmpt_lab.kernels.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
 from cvqmpt_lab.kernels.space import ITERATIONS
 
@@ -48,8 +48,10 @@ def nearest_node(nodes, size, target):
 
 
 @kernel
-def extend(space, nodes, parent, size, which, origin, target):
+def extend(space, nodes, parent, size, which, origin, target, reach):
     """ConstrainedExtend: walk from node origin towards target (n,), adding every state to the tree.
+
+    reach: longest walk [rad].
 
     Returns
     -------
@@ -58,7 +60,7 @@ def extend(space, nodes, parent, size, which, origin, target):
     start = distance(nodes[origin], target)
     if start < 1e-9:
         return origin, True
-    allowance = DEVIATION * start
+    allowance = min(DEVIATION * start, reach)
     node = origin
     while True:
         new = size[which]
@@ -75,28 +77,28 @@ def extend(space, nodes, parent, size, which, origin, target):
             return node, False
 
 
-@kernel
-def _connect(space, trees, sample, extend_both):
+@inlined
+def _connect(space, trees, sample, extend_both, reach):
     """One iteration; True when the trees met (trees.meeting is set)."""
     a = trees.turn[0]
     b = 1 - a
     trees.turn[0] = b  # Swap
     near = nearest_node(trees.nodes[a], trees.size[a], sample)
-    reached_a, _ = extend(space, trees.nodes[a], trees.parent[a], trees.size, a, near, sample)
+    reached_a, _ = extend(space, trees.nodes[a], trees.parent[a], trees.size, a, near, sample, reach)
     if extend_both:
         near = nearest_node(trees.nodes[b], trees.size[b], sample)
-        near, _ = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, sample)
+        near, _ = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, sample, reach)
     else:
         near = nearest_node(trees.nodes[b], trees.size[b], trees.nodes[a, reached_a])
     target = trees.nodes[a, reached_a]
-    reached_b, met = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, target)
+    reached_b, met = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, target, np.inf)
     trees.meeting[a] = reached_a
     trees.meeting[b] = reached_b
     return met
 
 
 @kernel
-def grow(space, trees, samples, first, extend_both):
+def grow(space, trees, samples, first, extend_both, reach):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
     extend_both: Algorithm 3 as printed, both trees walk to the sample and are then connected;
@@ -112,7 +114,7 @@ def grow(space, trees, samples, first, extend_both):
         if max(trees.size[0], trees.size[1]) + room >= trees.nodes.shape[1]:
             return FULL, i
         space.counters[ITERATIONS] += 1
-        if _connect(space, trees, samples[i], extend_both):
+        if _connect(space, trees, samples[i], extend_both, reach):
             return CONNECTED, i + 1
     return GROWING, samples.shape[0]
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.compiling import inlined, kernel
 from cvqmpt_lab.kernels.distance_grid import (
     DistanceGrid,
     Obstacles,
@@ -28,14 +28,17 @@ FREE = -1  # stands for no obstacle index
 
 
 class RobotGeometry(NamedTuple):
-    """Convex pieces of a robot, its attachments included.
+    """Convex pieces of a robot, its attachments included, sorted by link.
 
     Attributes
     ----------
     shapes: g pieces in their link frames. link: (g,) pose row of each.
     centre, radius: (g, 3), (g,) ball around each piece. ball_start: (g + 1,) its covering balls in
-    ball_centre (b, 3), ball_radius (b,). order: pieces to check against obstacles, tip first.
-    pairs: (k, 2) pieces to check against each other.
+    ball_centre (b, 3), ball_radius (b,).
+    link_centre, link_radius: (n + 1, 3), (n + 1,) ball around all pieces of a link.
+    link_start: (n + 2,) first piece of each link; pieces of link 0 (the world) never meet obstacles.
+    groups: (m, 4) link, other link, first and one-past-last row of `pairs` between them.
+    pairs: (k, 2) pieces to check against each other. placed: (n + 1, 3) work array.
     """
 
     shapes: ConvexShapes
@@ -45,8 +48,12 @@ class RobotGeometry(NamedTuple):
     ball_start: np.ndarray
     ball_centre: np.ndarray
     ball_radius: np.ndarray
-    order: np.ndarray
+    link_centre: np.ndarray
+    link_radius: np.ndarray
+    link_start: np.ndarray
+    groups: np.ndarray
     pairs: np.ndarray
+    placed: np.ndarray
 
 
 class SceneGeometry(NamedTuple):
@@ -60,13 +67,23 @@ class SceneGeometry(NamedTuple):
 
 
 def robot_geometry(
-    specs: Sequence[ShapeSpec], link: Sequence[int], pairs: Sequence[tuple[int, int]]
+    specs: Sequence[ShapeSpec], link: Sequence[int], pairs: Sequence[tuple[int, int]], n_links: int
 ) -> RobotGeometry:
-    """Pieces of a robot with their covers; pieces on link 0 (the world) are not checked against obstacles."""
+    """Pieces of a robot with their covers.
+
+    link: pose row of each piece, below n_links. pairs: indices into specs to check against each other.
+    """
+    order = np.argsort(link, kind="stable")
+    specs = [specs[i] for i in order]
+    rows = np.array(link, dtype=np.int64)[order]
+    place = np.argsort(order)  # new position of each piece
     balls = [cover_by_balls(corners(spec)) for spec in specs]
     bounds = [enclosing_ball(corners(spec)) for spec in specs]
-    rows = np.array(link, dtype=np.int64)
-    moving = [i for i in np.argsort(-rows, kind="stable") if rows[i] != 0]
+    link_centre, link_radius = np.zeros((n_links, 3)), np.full(n_links, -1.0)
+    for row in set(rows.tolist()):
+        points = np.concatenate([corners(spec) for spec, own in zip(specs, rows, strict=True) if own == row])
+        link_centre[row], link_radius[row] = enclosing_ball(points)
+    sorted_pairs, groups = _grouped([(int(place[i]), int(place[j])) for i, j in pairs], rows)
     return RobotGeometry(
         shapes=pack_shapes(specs),
         link=rows,
@@ -75,8 +92,28 @@ def robot_geometry(
         ball_start=np.concatenate([[0], np.cumsum([len(radii) for _, radii in balls])]).astype(np.int64),
         ball_centre=np.concatenate([np.empty((0, 3)), *(centres for centres, _ in balls)]),
         ball_radius=np.concatenate([np.empty(0), *(radii for _, radii in balls)]),
-        order=np.array(moving, dtype=np.int64),
-        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        link_centre=link_centre,
+        link_radius=link_radius,
+        link_start=np.searchsorted(rows, np.arange(n_links + 1)).astype(np.int64),
+        groups=groups,
+        pairs=sorted_pairs,
+        placed=np.zeros((n_links, 3)),
+    )
+
+
+def _grouped(pairs: list[tuple[int, int]], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs sorted by the two links they join, tip first, and one group row per pair of links."""
+    ordered = sorted(((min(pair), max(pair)) for pair in pairs), reverse=True)
+    by_links = sorted(ordered, key=lambda pair: (-rows[pair[1]], rows[pair[0]]))
+    groups: list[list[int]] = []
+    for k, (a, b) in enumerate(by_links):
+        links = [int(rows[a]), int(rows[b])]
+        if not groups or groups[-1][:2] != links:
+            groups.append([*links, k, k])
+        groups[-1][3] = k + 1
+    return (
+        np.array(by_links, dtype=np.int64).reshape(-1, 2),
+        np.array(groups, dtype=np.int64).reshape(-1, 4),
     )
 
 
@@ -126,7 +163,7 @@ def _bounds(specs: Sequence[ShapeSpec]) -> Obstacles:
     )
 
 
-@kernel
+@inlined
 def _placed(link_rotation, link_translation, link, point, k):
     """World coordinates of row k of point (m, 3), given in a link's frame."""
     x, y, z = point[k, 0], point[k, 1], point[k, 2]
@@ -146,7 +183,7 @@ def _placed(link_rotation, link_translation, link, point, k):
     )
 
 
-@kernel
+@inlined
 def _world_in_link(link_rotation, link_translation, link):
     """Pose of the world in a link's frame: 9 rotation entries by rows, then 3 of translation."""
     r = link_rotation
@@ -167,7 +204,7 @@ def _world_in_link(link_rotation, link_translation, link):
     )
 
 
-@kernel
+@inlined
 def _hits_obstacle(link_rotation, link_translation, robot, scene, piece, i, margin):
     """Whether no separating slab was found between a piece and obstacle i."""
     link = robot.link[piece]
@@ -181,7 +218,7 @@ def _hits_obstacle(link_rotation, link_translation, robot, scene, piece, i, marg
     return not separated(robot.shapes, piece, scene.shapes, i, pose, axis, margin)
 
 
-@kernel
+@inlined
 def _ball_hit(link_rotation, link_translation, robot, scene, piece, ball, x, y, z, block, margin):
     """Obstacle that a piece touches near one of its covering balls, or FREE."""
     reach = robot.ball_radius[ball] + margin
@@ -199,7 +236,7 @@ def _ball_hit(link_rotation, link_translation, robot, scene, piece, ball, x, y, 
     return FREE
 
 
-@kernel
+@inlined
 def piece_hit(link_rotation, link_translation, robot, scene, piece, margin):
     """First obstacle found within margin [m] of a piece, or FREE."""
     link = robot.link[piece]
@@ -220,47 +257,102 @@ def piece_hit(link_rotation, link_translation, robot, scene, piece, margin):
     return FREE
 
 
-@kernel
-def pair_touches(link_rotation, link_translation, robot, a, b, margin):
-    """Whether no separating slab was found between two pieces of the robot."""
-    la, lb = robot.link[a], robot.link[b]
-    xa, ya, za = _placed(link_rotation, link_translation, la, robot.centre, a)
-    xb, yb, zb = _placed(link_rotation, link_translation, lb, robot.centre, b)
-    dx, dy, dz = xa - xb, ya - yb, za - zb
-    reach = robot.radius[a] + robot.radius[b] + margin
-    if dx * dx + dy * dy + dz * dz > reach * reach:
-        return False
-    w = _world_in_link(link_rotation, link_translation, la)
+@inlined
+def _cover_near(robot, piece, point, radius):
+    """Whether a covering ball of a piece meets the ball around a point in its link's frame."""
+    for ball in range(robot.ball_start[piece], robot.ball_start[piece + 1]):
+        dx = robot.ball_centre[ball, 0] - point[0]
+        dy = robot.ball_centre[ball, 1] - point[1]
+        dz = robot.ball_centre[ball, 2] - point[2]
+        reach = robot.ball_radius[ball] + radius
+        if dx * dx + dy * dy + dz * dz <= reach * reach:
+            return True
+    return False
+
+
+@inlined
+def _link_in_link(link_rotation, link_translation, a, b):
+    """Pose of link b in the frame of link a: 9 rotation entries by rows, then 3 of translation."""
+    w = _world_in_link(link_rotation, link_translation, a)
     r, t = link_rotation, link_translation
-    pose = (
-        w[0] * r[lb, 0, 0] + w[1] * r[lb, 1, 0] + w[2] * r[lb, 2, 0],
-        w[0] * r[lb, 0, 1] + w[1] * r[lb, 1, 1] + w[2] * r[lb, 2, 1],
-        w[0] * r[lb, 0, 2] + w[1] * r[lb, 1, 2] + w[2] * r[lb, 2, 2],
-        w[3] * r[lb, 0, 0] + w[4] * r[lb, 1, 0] + w[5] * r[lb, 2, 0],
-        w[3] * r[lb, 0, 1] + w[4] * r[lb, 1, 1] + w[5] * r[lb, 2, 1],
-        w[3] * r[lb, 0, 2] + w[4] * r[lb, 1, 2] + w[5] * r[lb, 2, 2],
-        w[6] * r[lb, 0, 0] + w[7] * r[lb, 1, 0] + w[8] * r[lb, 2, 0],
-        w[6] * r[lb, 0, 1] + w[7] * r[lb, 1, 1] + w[8] * r[lb, 2, 1],
-        w[6] * r[lb, 0, 2] + w[7] * r[lb, 1, 2] + w[8] * r[lb, 2, 2],
-        w[0] * t[lb, 0] + w[1] * t[lb, 1] + w[2] * t[lb, 2] + w[9],
-        w[3] * t[lb, 0] + w[4] * t[lb, 1] + w[5] * t[lb, 2] + w[10],
-        w[6] * t[lb, 0] + w[7] * t[lb, 1] + w[8] * t[lb, 2] + w[11],
+    return (
+        w[0] * r[b, 0, 0] + w[1] * r[b, 1, 0] + w[2] * r[b, 2, 0],
+        w[0] * r[b, 0, 1] + w[1] * r[b, 1, 1] + w[2] * r[b, 2, 1],
+        w[0] * r[b, 0, 2] + w[1] * r[b, 1, 2] + w[2] * r[b, 2, 2],
+        w[3] * r[b, 0, 0] + w[4] * r[b, 1, 0] + w[5] * r[b, 2, 0],
+        w[3] * r[b, 0, 1] + w[4] * r[b, 1, 1] + w[5] * r[b, 2, 1],
+        w[3] * r[b, 0, 2] + w[4] * r[b, 1, 2] + w[5] * r[b, 2, 2],
+        w[6] * r[b, 0, 0] + w[7] * r[b, 1, 0] + w[8] * r[b, 2, 0],
+        w[6] * r[b, 0, 1] + w[7] * r[b, 1, 1] + w[8] * r[b, 2, 1],
+        w[6] * r[b, 0, 2] + w[7] * r[b, 1, 2] + w[8] * r[b, 2, 2],
+        w[0] * t[b, 0] + w[1] * t[b, 1] + w[2] * t[b, 2] + w[9],
+        w[3] * t[b, 0] + w[4] * t[b, 1] + w[5] * t[b, 2] + w[10],
+        w[6] * t[b, 0] + w[7] * t[b, 1] + w[8] * t[b, 2] + w[11],
     )
+
+
+@inlined
+def _pair_touches(robot, a, b, pose, margin):
+    """Whether no separating slab was found between two pieces; pose is b's link in a's link frame."""
+    x, y, z = robot.centre[b, 0], robot.centre[b, 1], robot.centre[b, 2]
+    centre = (
+        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
+        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
+        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
+    )
+    if not _cover_near(robot, a, centre, robot.radius[b] + margin):
+        return False
     axis = (
-        w[0] * dx + w[1] * dy + w[2] * dz,
-        w[3] * dx + w[4] * dy + w[5] * dz,
-        w[6] * dx + w[7] * dy + w[8] * dz,
+        robot.centre[a, 0] - centre[0],
+        robot.centre[a, 1] - centre[1],
+        robot.centre[a, 2] - centre[2],
     )
     return not separated(robot.shapes, a, robot.shapes, b, pose, axis, margin)
+
+
+@inlined
+def _link_hits_obstacle(link_rotation, link_translation, robot, scene, link, margin):
+    """Whether a piece of a link is within margin [m] of an obstacle."""
+    x, y, z = robot.placed[link, 0], robot.placed[link, 1], robot.placed[link, 2]
+    clear, _ = clear_of_obstacles(scene.grid, x, y, z, robot.link_radius[link] + margin)
+    if clear:
+        return False
+    for piece in range(robot.link_start[link], robot.link_start[link + 1]):
+        if piece_hit(link_rotation, link_translation, robot, scene, piece, margin) != FREE:
+            return True
+    return False
+
+
+@inlined
+def _group_touches(link_rotation, link_translation, robot, group, margin):
+    """Whether two links are within margin [m] of each other."""
+    a, b = robot.groups[group, 0], robot.groups[group, 1]
+    dx = robot.placed[a, 0] - robot.placed[b, 0]
+    dy = robot.placed[a, 1] - robot.placed[b, 1]
+    dz = robot.placed[a, 2] - robot.placed[b, 2]
+    reach = robot.link_radius[a] + robot.link_radius[b] + margin
+    if dx * dx + dy * dy + dz * dz > reach * reach:
+        return False
+    pose = _link_in_link(link_rotation, link_translation, a, b)
+    for k in range(robot.groups[group, 2], robot.groups[group, 3]):
+        if _pair_touches(robot, robot.pairs[k, 0], robot.pairs[k, 1], pose, margin):
+            return True
+    return False
 
 
 @kernel
 def state_in_collision(link_rotation, link_translation, robot, scene, margin):
     """Whether the robot with these link poses is within margin [m] of an obstacle or of itself."""
-    for k in range(robot.order.shape[0]):
-        if piece_hit(link_rotation, link_translation, robot, scene, robot.order[k], margin) != FREE:
+    n_links = robot.link_radius.shape[0]
+    for link in range(n_links):
+        x, y, z = _placed(link_rotation, link_translation, link, robot.link_centre, link)
+        robot.placed[link, 0], robot.placed[link, 1], robot.placed[link, 2] = x, y, z
+    for link in range(n_links - 1, 0, -1):
+        if robot.link_radius[link] >= 0.0 and _link_hits_obstacle(
+            link_rotation, link_translation, robot, scene, link, margin
+        ):
             return True
-    for k in range(robot.pairs.shape[0]):
-        if pair_touches(link_rotation, link_translation, robot, robot.pairs[k, 0], robot.pairs[k, 1], margin):
+    for group in range(robot.groups.shape[0]):
+        if _group_touches(link_rotation, link_translation, robot, group, margin):
             return True
     return False

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined, kernel
+from cvqmpt_lab.kernels.compiling import driver, inlined
 
 BLOCK = 4  # cells along the edge of a block
 RANGE = 0.20  # [m] distances are cut off here
@@ -49,7 +49,7 @@ class DistanceGrid(NamedTuple):
     block_items: np.ndarray
 
 
-@kernel
+@inlined
 def point_distance(obstacles, i, x, y, z):
     """Distance of a point to obstacle i's bounds [m], zero inside."""
     dx = x - obstacles.translation[i, 0]
@@ -148,7 +148,7 @@ def distance_grid(obstacles: Obstacles, lower: np.ndarray, upper: np.ndarray, ce
     return grid
 
 
-@kernel
+@inlined
 def clear_of_obstacles(grid, x, y, z, radius):
     """Whether the ball around a point is surely free, and the block the point lies in (-1 outside the grid)."""
     cell = grid.cell[0]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, kernel
+from cvqmpt_lab.kernels.compiling import driver, inlined
 
 
 class Kinematics(NamedTuple):
@@ -33,7 +33,7 @@ class Kinematics(NamedTuple):
     moves: np.ndarray
 
 
-@kernel
+@inlined
 def forward_kinematics(kinematics, q, link_rotation, link_translation):
     """Write the pose of every joint frame.
 

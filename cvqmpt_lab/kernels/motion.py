@@ -2,17 +2,18 @@
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.compiling import inlined, kernel
 from cvqmpt_lab.kernels.space import posed_state_valid, project_state, state_valid
 
 STOPPED, ADVANCED, REACHED = range(3)
 DEVIATION = (
     2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
 )
+GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
 
-@kernel
+@inlined
 def distance(a, b):
     """Euclidean distance of two configurations (n,) [rad]."""
     square = 0.0
@@ -52,26 +53,44 @@ def step_towards(space, origin, target, allowance, out):
 
 
 @kernel
-def trace_motion(space, origin, target, out):
-    """Walk from origin to target on the manifold into out (k, n), origin not included.
+def bisect_motion(space, origin, target, longest, out):
+    """Join origin and target on the manifold by projected midpoints, coarse to fine, so that failure is early.
+
+    Parameters
+    ----------
+    longest: give up when the motion becomes longer than this [rad].
+    out: (k, n) room for the states after origin, the last of which is target.
 
     Returns
     -------
-    Number of states written when the target was reached, else 0 (also when out is too short).
+    Number of states written, or 0 when a state cannot be projected, collides, or lies too far from its neighbour.
     """
-    straight = distance(origin, target)
-    if straight < CLOSE:
+    pieces = 1
+    while distance(origin, target) > GAP * space.step * pieces:
+        pieces *= 2
+    if pieces > out.shape[0]:
         return 0
-    allowance = DEVIATION * straight
-    for i in range(out.shape[0]):
-        previous = origin if i == 0 else out[i - 1]
-        outcome = step_towards(space, previous, target, allowance, out[i])
-        if outcome == STOPPED:
+    for j in range(target.shape[0]):
+        out[pieces - 1, j] = target[j]
+    stride = pieces
+    while stride > 1:
+        half = stride // 2
+        for k in range(half, pieces, stride):  # state k lies in row k - 1
+            for j in range(target.shape[0]):
+                left = origin[j] if k == half else out[k - half - 1, j]
+                out[k - 1, j] = 0.5 * (left + out[k + half - 1, j])
+            if not project_state(space, out[k - 1]) or not posed_state_valid(space, out[k - 1]):
+                return 0
+        stride = half
+    length = distance(origin, out[0])
+    if length > DEVIATION * space.step:
+        return 0
+    for k in range(1, pieces):
+        gap = distance(out[k - 1], out[k])
+        length += gap
+        if gap > DEVIATION * space.step or length > longest:
             return 0
-        if outcome == REACHED:
-            return i + 1
-        allowance -= distance(previous, out[i])
-    return 0
+    return pieces
 
 
 @kernel

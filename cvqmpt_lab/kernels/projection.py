@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, kernel
+from cvqmpt_lab.kernels.compiling import driver, inlined
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.task_space_region import residual_and_jacobian
 
@@ -41,7 +41,7 @@ def projection_scratch(n: int, m: int) -> ProjectionScratch:
     )
 
 
-@kernel
+@inlined
 def _solve_normal_equations(scratch):
     """Overwrite scratch.residual with (J J^T + damping)^-1 residual by Cholesky factorisation."""
     jacobian, normal, x = scratch.jacobian, scratch.normal, scratch.residual
@@ -75,7 +75,7 @@ def _solve_normal_equations(scratch):
         x[i] /= normal[i, i]
 
 
-@kernel
+@inlined
 def newton_step(scratch, out):
     """Write the minimum-norm step -J^T (J J^T)^-1 F into out (n,); overwrites scratch.residual."""
     _solve_normal_equations(scratch)
@@ -92,7 +92,7 @@ def newton_step(scratch, out):
             out[j] *= scale
 
 
-@kernel
+@inlined
 def project(kinematics, regions, q, tolerance, max_iterations, scratch):
     """Move q (n,) in place onto the manifold and inside the joint limits.
 

@@ -2,7 +2,7 @@
 
 
 from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.motion import distance, segment_valid, trace_motion
+from cvqmpt_lab.kernels.motion import distance, segment_valid, bisect_motion
 
 
 @kernel
@@ -54,11 +54,8 @@ def _try_shortcut(space, states, count, a, b, detour):
         old += distance(states[i], states[i + 1])
     if distance(states[a], states[b]) > 0.999 * old:
         return count
-    size = trace_motion(space, states[a], states[b], detour)
+    size = bisect_motion(space, states[a], states[b], 0.999 * old, detour)
     if size == 0 or count + size > states.shape[0]:
-        return count
-    new = distance(states[a], detour[0]) + path_length(detour, size)
-    if new > 0.999 * old:
         return count
     if not segment_valid(space, states[a], detour[0]):
         return count

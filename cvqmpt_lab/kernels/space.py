@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 
 from cvqmpt_lab.kernels.collision import RobotGeometry, SceneGeometry, state_in_collision
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.compiling import inlined
 from cvqmpt_lab.kernels.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.projection import ProjectionScratch, project
 from cvqmpt_lab.kernels.task_space_region import Regions
@@ -88,7 +88,7 @@ class Space(NamedTuple):
     scratch: ProjectionScratch
 
 
-@kernel
+@inlined
 def project_state(space, q):
     """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
     iterations = project(
@@ -100,7 +100,7 @@ def project_state(space, q):
     return iterations >= 0
 
 
-@kernel
+@inlined
 def posed_state_valid(space, q):
     """Whether q, whose link poses are in the scratch, is free of collision."""
     space.counters[STATE_CHECKS] += 1
@@ -113,7 +113,7 @@ def posed_state_valid(space, q):
     )
 
 
-@kernel
+@inlined
 def state_valid(space, q):
     """Whether q (n,) is free of collision."""
     forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)

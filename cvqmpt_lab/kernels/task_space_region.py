@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined, kernel
+from cvqmpt_lab.kernels.compiling import driver, inlined
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.rotation import log_map_factor, rotation_vector
 
@@ -131,7 +131,7 @@ def _pick(vector, axis):
     return vector[0] if axis == 0 else (vector[1] if axis == 1 else vector[2])
 
 
-@kernel
+@inlined
 def residual_and_jacobian(kinematics, regions, link_rotation, link_translation, full, out, jacobian):
     """Write residual (m,) and its Jacobian (m, n); link poses come from forward_kinematics.
 

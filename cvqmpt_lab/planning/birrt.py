@@ -28,10 +28,13 @@ class BiRRT:
     ----------
     extend_both: both trees walk to the sample before they are connected, as in Algorithm 3; otherwise
         the second tree walks to where the first one stopped, as in CBiRRT.
+    reach: longest walk towards a sample [rad]; connecting walks are not limited. Chosen on the tuning
+        environments, see docs/performance.md.
     """
 
     name: str = "birrt"
     extend_both: bool = True
+    reach: float = 1.0
 
     def plan(
         self,
@@ -74,7 +77,7 @@ class BiRRT:
         """Grow with one batch of samples; the trees, and a path that passed the fine check or None."""
         first = 0
         while first < len(samples):
-            status, first = kernels.grow(space.arrays, trees, samples, first, self.extend_both)
+            status, first = kernels.grow(space.arrays, trees, samples, first, self.extend_both, self.reach)
             space.reraise()
             if status == kernels.FULL:
                 trees = _enlarged(trees)

@@ -28,7 +28,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         links.append(hand)
     n = len(robot.links)
     carried = [(i, n + k) for i, k in carried_pairs(robot, attachments)]
-    return robot_geometry(specs, links, [*robot.self_collision_pairs, *carried])
+    return robot_geometry(specs, links, [*robot.self_collision_pairs, *carried], robot.dof + 1)
 
 
 @lru_cache(maxsize=8)

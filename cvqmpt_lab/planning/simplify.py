@@ -10,14 +10,14 @@ from cvqmpt_lab.kernels.shortcut import shortcut
 from cvqmpt_lab.planning.result import Counters, Path
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
-ROUND = 32  # shortcuts tried between looks at the clock
+ROUND = 16  # shortcuts tried between looks at the clock
 
 
 @dataclass(frozen=True)
 class SimplifySettings:
     """When to stop: attempts or seconds used up, or `patience` rounds without `gain` (relative) in length."""
 
-    attempts: int = 1024
+    attempts: int = 64
     seconds: float = 1.0
     patience: int = 4
     gain: float = 0.002

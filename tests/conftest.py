@@ -1,0 +1,48 @@
+"""Objects that several test files share; each is made once and must not be changed."""
+
+from pathlib import Path
+
+import pytest
+
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.robot.loading import load_robot, robot_from_source
+from cvqmpt_lab.scene.kitchen import kitchen
+from experiments.place_task import DOOR, DOOR_ANGLE, place_problem
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.fixture(scope="session")
+def panda():
+    return robot_from_source({"name": "panda"})
+
+
+@pytest.fixture(scope="session")
+def slider_arm_urdf():
+    """A chain of one slider and three hinges, none of whose axes is z."""
+    return DATA / "slider_arm.urdf"
+
+
+@pytest.fixture(scope="session")
+def slider_arm(slider_arm_urdf):
+    return load_robot(slider_arm_urdf, "tool")
+
+
+@pytest.fixture(scope="session")
+def open_kitchen():
+    """The kitchen of the place task, shelf door open."""
+    return kitchen(door_angles={DOOR: DOOR_ANGLE})
+
+
+@pytest.fixture(scope="session")
+def problem():
+    """Environment 0 of the place task with its goals."""
+    return with_sampled_goals(place_problem(0))[0]
+
+
+@pytest.fixture(scope="session")
+def solution(problem):
+    """A certified solution of `problem`."""
+    return solve(problem, BiRRT(), Budget(iterations=20_000), seed=0)
