@@ -297,9 +297,11 @@ def rasterise(mesh: Mesh, camera: Camera, shape: tuple[int, int]) -> View:
         face[block][inside] = f
     rows, columns = np.nonzero(face >= 0)
     seen = face[rows, columns]
-    share = weights[seen] @ np.stack([columns, rows, np.ones(len(rows))], axis=1)[..., None]
-    normals = _unit((share * mesh.normals[seen]).sum(axis=1))
-    return View(rows, columns, seen, 1.0 / nearest[rows, columns], normals)
+    pixel = np.stack([columns, rows, np.ones(len(rows))], axis=1)
+    normals = np.zeros_like(pixel)
+    for k in range(3):
+        normals += (weights[seen, k] * pixel).sum(axis=1, keepdims=True) * mesh.normals[seen, k]
+    return View(rows, columns, seen, 1.0 / nearest[rows, columns], _unit(normals))
 
 
 def _corner_weights(screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -337,7 +339,7 @@ def _fill_ground(
     camera: Camera,
     lit: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    """Paint the plane z = ground [m] at the empty pixels (rows, columns); it fades into white with distance."""
+    """Paint the plane z = ground [m] at empty pixels (rows, columns); it fades into white with distance."""
     rows, columns = empty
     rays = camera.rays(rows, columns, image.shape[:2])
     distance = (ground - camera.eye[2]) / np.where(rays[:, 2] == 0.0, np.inf, rays[:, 2])

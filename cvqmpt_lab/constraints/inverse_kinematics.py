@@ -14,14 +14,14 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.collision import CollisionChecker
 
 TOLERANCE = 1e-6  # [m, rad] on the pose
-MAX_ITERATIONS = 60
-BATCH = 8
+MAX_ITERATIONS = 25
+BATCH = 16
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
-BATCHES_PER_POSE = 4
+BATCHES_PER_POSE = 2
 
 
 def solve_pose(
-    robot: Robot, T_world_e: np.ndarray, rng: np.random.Generator, attempts: int = 64
+    robot: Robot, T_world_e: np.ndarray, rng: np.random.Generator, attempts: int = BATCH
 ) -> np.ndarray:
     """Configurations (k, n) inside the limits that reach a pose, from random starts; k <= attempts."""
     regions = stack_regions(robot, (TaskSpaceRegion(T_world_e, np.eye(4), np.zeros((6, 2))),))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
 from cvqmpt_lab.kernels.space import ITERATIONS
 
@@ -77,32 +77,13 @@ def extend(space, nodes, parent, size, which, origin, target, reach):
             return node, False
 
 
-@inlined
-def _connect(space, trees, sample, extend_both, reach):
-    """One iteration; True when the trees met (trees.meeting is set)."""
-    a = trees.turn[0]
-    b = 1 - a
-    trees.turn[0] = b  # Swap
-    near = nearest_node(trees.nodes[a], trees.size[a], sample)
-    reached_a, _ = extend(space, trees.nodes[a], trees.parent[a], trees.size, a, near, sample, reach)
-    if extend_both:
-        near = nearest_node(trees.nodes[b], trees.size[b], sample)
-        near, _ = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, sample, reach)
-    else:
-        near = nearest_node(trees.nodes[b], trees.size[b], trees.nodes[a, reached_a])
-    target = trees.nodes[a, reached_a]
-    reached_b, met = extend(space, trees.nodes[b], trees.parent[b], trees.size, b, near, target, np.inf)
-    trees.meeting[a] = reached_a
-    trees.meeting[b] = reached_b
-    return met
-
-
 @kernel
 def grow(space, trees, samples, first, extend_both, reach):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
     extend_both: Algorithm 3 as printed, both trees walk to the sample and are then connected;
     otherwise the second tree walks from its nearest node to where the first one stopped (CBiRRT).
+    reach: longest walk towards a sample [rad].
 
     Returns
     -------
@@ -110,11 +91,33 @@ def grow(space, trees, samples, first, extend_both, reach):
     next: index of the next unused sample.
     """
     room = trees.nodes.shape[1] // 4
+    nodes, parent, size = trees.nodes, trees.parent, trees.size
     for i in range(first, samples.shape[0]):
-        if max(trees.size[0], trees.size[1]) + room >= trees.nodes.shape[1]:
+        if max(size[0], size[1]) + room >= nodes.shape[1]:
             return FULL, i
         space.counters[ITERATIONS] += 1
-        if _connect(space, trees, samples[i], extend_both, reach):
+        a = trees.turn[0]
+        b = 1 - a
+        trees.turn[0] = b  # Swap
+        node_a, node_b, met = 0, 0, False
+        for stage in range(3):  # tree a to the sample, tree b to the sample, tree b to tree a: one call site
+            if stage == 1 and not extend_both:
+                continue
+            tree = a if stage == 0 else b
+            target = samples[i] if stage < 2 else nodes[a, node_a]
+            if stage == 2 and extend_both:
+                near = node_b
+            else:
+                near = nearest_node(nodes[tree], size[tree], target)
+            limit = reach if stage < 2 else np.inf
+            node, met = extend(space, nodes[tree], parent[tree], size, tree, near, target, limit)
+            if stage == 0:
+                node_a = node
+            else:
+                node_b = node
+        if met:
+            trees.meeting[a] = node_a
+            trees.meeting[b] = node_b
             return CONNECTED, i + 1
     return GROWING, samples.shape[0]
 

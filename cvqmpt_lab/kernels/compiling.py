@@ -1,14 +1,69 @@
-"""How kernels are compiled: one decorator for the hot path, one for the loops that call it.
+"""How kernels are compiled: a decorator for the hot path, one for what is merged into it, one for outer loops.
 
 `kernel` functions do not allocate, so numba's reference counting is switched off in them: it would
 cost more than their arithmetic (residual and Jacobian of a region: 3.7 us with it, 0.7 us without).
-`inlined` ones are merged into their
-caller: a bundle of arrays is passed as some hundred scalars, which a call in the hot path cannot
-afford. `driver` functions may allocate. All are cached on disk and treat division as IEEE does.
+`inlined` ones are merged into their caller: a bundle of arrays is passed as some hundred scalars, which
+a call in the hot path cannot afford. `driver` functions may allocate. All treat division as IEEE does.
+
+Machine code is cached on disk in a folder named after the contents of all kernel sources, because
+numba alone does not notice that a function called from another file has changed. NUMBA_CACHE_DIR
+chooses where that folder lies; without a writable place everything still works, compiled anew
+in each process.
 """
 
-from numba import njit
+import hashlib
+import os
+import warnings
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
-kernel = njit(cache=True, error_model="numpy", _nrt=False)
-inlined = njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
-driver = njit(cache=True, error_model="numpy")
+from numba import config, njit
+
+
+def _sources_digest() -> str:
+    """Hash of every file of this folder."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> str | None:
+    """A writable folder for machine code, or None with a warning."""
+    home = os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")) / "cvqmpt_lab"
+    folder = Path(home).expanduser() / _sources_digest()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".writable-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        warnings.warn(
+            f"kernel cache {folder} is not writable ({error.strerror}): every process compiles for half a minute; "
+            f"set NUMBA_CACHE_DIR to a writable folder",
+            stacklevel=2,
+        )
+        return None
+    return str(folder)
+
+
+CACHE_FOLDER = _cache_folder()
+
+
+def _compiled(function: Callable | None = None, **options) -> Callable:
+    """njit with our options, its cache in CACHE_FOLDER."""
+    if function is None:
+        return partial(_compiled, **options)
+    before = config.CACHE_DIR
+    config.CACHE_DIR = CACHE_FOLDER or before
+    try:
+        return njit(cache=CACHE_FOLDER is not None, error_model="numpy", **options)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+kernel = partial(_compiled, _nrt=False)
+inlined = partial(_compiled, _nrt=False, forceinline=True)
+driver = partial(_compiled)

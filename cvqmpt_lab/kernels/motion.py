@@ -3,13 +3,17 @@
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.space import posed_state_valid, project_state, state_valid
+from cvqmpt_lab.kernels.task_space_region import residual_and_jacobian
 
 STOPPED, ADVANCED, REACHED = range(3)
 DEVIATION = (
     2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
 )
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
+CHORD = 5e-4  # [m, rad] a straight motion between two states may leave the planned bounds by this
+MOST_HALVINGS = 8
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
 
@@ -94,8 +98,35 @@ def bisect_motion(space, origin, target, longest, out):
 
 
 @kernel
-def segment_valid(space, a, b):
-    """Whether the straight joint motion between a and b, ends excluded, is free at space.resolution."""
+def chord_on_manifold(space, a, b):
+    """Whether the straight joint motion between two states on the manifold stays within CHORD of it.
+
+    Looked at every space.resolution: the middle is not always worst, the rotation vector has a kink at angle pi.
+    """
+    residual = space.scratch.residual
+    if residual.shape[0] == 0:
+        return True
+    rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
+    pieces = int(np.ceil(distance(a, b) / space.resolution))
+    for k in range(1, pieces):
+        fraction = k / pieces
+        for j in range(a.shape[0]):
+            space.state[j] = a[j] + fraction * (b[j] - a[j])
+        forward_kinematics(space.kinematics, space.state, rotation, translation)
+        residual_and_jacobian(
+            space.kinematics, space.regions, rotation, translation, False, residual, space.scratch.jacobian
+        )
+        for i in range(residual.shape[0]):
+            if abs(residual[i]) > CHORD:
+                return False
+    return True
+
+
+@kernel
+def motion_free(space, a, b):
+    """Whether b and the straight joint motion towards it are free of collision at space.resolution."""
+    if not state_valid(space, b):
+        return False
     pieces = int(np.ceil(distance(a, b) / space.resolution))
     stride = 1
     while stride < pieces:
@@ -111,10 +142,44 @@ def segment_valid(space, a, b):
     return True
 
 
+@inlined
+def segment_valid(space, a, b):
+    """Whether the straight joint motion between a and b stays close to the manifold and is free."""
+    return chord_on_manifold(space, a, b) and motion_free(space, a, b)
+
+
 @kernel
-def first_invalid_segment(space, states, count):
-    """Index i of the first segment states[i] -> states[i + 1] that fails the fine check, or -1."""
-    for i in range(count - 1):
-        if not segment_valid(space, states[i], states[i + 1]):
-            return i
-    return -1
+def refine_and_check(space, states, count, out):
+    """Copy a path into out (k, n), with projected states put in until every straight motion is good.
+
+    Parameters
+    ----------
+    states: (m, n), first count rows the path.
+
+    Returns
+    -------
+    written: number of states in out. bad: first segment of the given path that cannot be mended or
+    is not free, or -1.
+    """
+    n = states.shape[1]
+    for j in range(n):
+        out[0, j] = states[0, j]
+    written, i = 1, 1
+    while i < count:
+        if written >= out.shape[0]:
+            return written, i - 1
+        for j in range(n):
+            out[written, j] = states[i, j]
+        halvings = 0
+        while not chord_on_manifold(space, out[written - 1], out[written]):
+            for j in range(n):
+                out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
+            halvings += 1
+            if halvings > MOST_HALVINGS or not project_state(space, out[written]):
+                return written, i - 1
+        if not motion_free(space, out[written - 1], out[written]):
+            return written, i - 1
+        written += 1
+        if halvings == 0:
+            i += 1
+    return written, -1

@@ -1,8 +1,11 @@
 """Shortcutting on the constraint manifold: the simplification that every planner's path goes through."""
 
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.motion import distance, segment_valid, bisect_motion
+from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.motion import bisect_motion, distance, segment_valid
+
+
+KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
 
 
 @kernel
@@ -44,25 +47,21 @@ def _replace(states, count, a, b, detour, size):
     return count + shift
 
 
-@kernel
-def _try_shortcut(space, states, count, a, b, detour):
-    """Replace states[a..b] by a direct motion if that is shorter and free; the new count."""
+@inlined
+def _shorter_motion(space, states, a, b, detour):
+    """Write a direct, free motion from states[a] to states[b] into detour if it is shorter; its size or 0."""
     if b - a < 2:
-        return count
+        return 0
     old = 0.0
     for i in range(a, b):
         old += distance(states[i], states[i + 1])
-    if distance(states[a], states[b]) > 0.999 * old:
-        return count
-    size = bisect_motion(space, states[a], states[b], 0.999 * old, detour)
-    if size == 0 or count + size > states.shape[0]:
-        return count
-    if not segment_valid(space, states[a], detour[0]):
-        return count
-    for i in range(size - 1):
-        if not segment_valid(space, detour[i], detour[i + 1]):
-            return count
-    return _replace(states, count, a, b, detour, size)
+    if distance(states[a], states[b]) > KEEP * old:
+        return 0
+    size = bisect_motion(space, states[a], states[b], KEEP * old, detour)
+    for i in range(size):
+        if not segment_valid(space, states[a] if i == 0 else detour[i - 1], detour[i]):
+            return 0
+    return size
 
 
 @kernel
@@ -80,5 +79,7 @@ def shortcut(space, states, count, picks, detour):
         low, high = min(picks[i, 0], picks[i, 1]), max(picks[i, 0], picks[i, 1])
         a = _locate(states, count, low * length)
         b = min(_locate(states, count, high * length) + 1, count - 1)
-        count = _try_shortcut(space, states, count, a, b, detour)
+        size = _shorter_motion(space, states, a, b, detour)
+        if size > 0 and count + size <= states.shape[0]:
+            count = _replace(states, count, a, b, detour, size)
     return count

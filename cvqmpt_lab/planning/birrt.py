@@ -12,7 +12,6 @@ import numpy as np
 
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.kernels import birrt as kernels
-from cvqmpt_lab.kernels.motion import first_invalid_segment
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus, Tree
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
@@ -117,8 +116,7 @@ def _checked_path(space: ConstrainedSpace, trees: kernels.Trees) -> Path | None:
     states = np.empty((capacity, trees.nodes.shape[2]))
     origin = np.empty((capacity, 2), dtype=np.int64)
     count = kernels.extract_path(trees, states, origin)
-    bad = first_invalid_segment(space.arrays, states, count)
-    if bad < 0:
-        return Path(states[:count])
-    kernels.remove_child_of_segment(trees, origin, bad)
-    return None
+    path, bad = space.checked_path(states[:count])
+    if path is None:
+        kernels.remove_child_of_segment(trees, origin, bad)
+    return path

@@ -34,8 +34,12 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 @lru_cache(maxsize=8)
 def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base."""
-    specs = [spec for item in scene.obstacles for spec in _specs(item.shape, item.T_world_object)]
-    return scene_geometry(specs, np.full(3, -reach), np.full(3, reach))
+    return scene_geometry(scene_specs(scene), np.full(3, -reach), np.full(3, reach))
+
+
+def scene_specs(scene: Scene) -> list[ShapeSpec]:
+    """The obstacles of a scene in plain numbers."""
+    return [spec for item in scene.obstacles for spec in _specs(item.shape, item.T_world_object)]
 
 
 def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
@@ -43,7 +47,7 @@ def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
     return SPECS[type(shape)](shape, T)
 
 
-def _cloud_specs(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
+def cloud_specs(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
     """One ball per occupied voxel, large enough for the balls of all points in it."""
     points = cloud.points @ T[:3, :3].T + T[:3, 3]
     _, owner = np.unique(np.floor(points / VOXEL).astype(np.int64), axis=0, return_inverse=True)
@@ -65,5 +69,5 @@ SPECS = {
     Cylinder: lambda c, T: [ShapeSpec(CYLINDER, (c.radius, c.radius, c.height), NO_VERTICES, T)],
     Sphere: lambda sphere, T: [ShapeSpec(SPHERE, (sphere.radius,), NO_VERTICES, T)],
     ConvexMesh: lambda mesh, T: [ShapeSpec(HULL, (), mesh.vertices, T)],
-    PointCloud: _cloud_specs,
+    PointCloud: cloud_specs,
 }

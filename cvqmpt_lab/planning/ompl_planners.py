@@ -14,7 +14,8 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cvqmpt_lab.distributions import SamplingDistribution
-from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus
+from cvqmpt_lab.kernels.space import ITERATIONS, NEWTON_ITERATIONS
+from cvqmpt_lab.planning.result import Budget, Counters, Path, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
@@ -36,7 +37,8 @@ class _Manifold(ob.Constraint):
         out[:] = self._space.residual_and_jacobian(np.array(x))[0]
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
-        """dF/dx at full rank: tangent spaces need rows also inside the bounds."""
+        """dF/dx at full rank: tangent spaces need rows also inside the bounds. Counted as a Newton iteration."""
+        self._space.arrays.counters[NEWTON_ITERATIONS] += 1
         out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
 
     def project(self, x: np.ndarray) -> bool:
@@ -91,8 +93,6 @@ class OmplPlanner:
 
 
 def _failure(status: PlanStatus, detail: str) -> PlanResult:
-    from cvqmpt_lab.planning.result import Counters
-
     return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
 
 
@@ -150,21 +150,20 @@ class _Search:
         def spent() -> bool:
             nonlocal steps
             steps += 1
-            self._space.arrays.counters[3] += 1
+            self._space.arrays.counters[ITERATIONS] += 1
             late = budget.seconds is not None and time.perf_counter() - began >= budget.seconds
             return late or (budget.iterations is not None and steps > budget.iterations)
 
         while True:
-            solved = self._planner.solve(ob.PlannerTerminationCondition(spent))
+            self._planner.solve(ob.PlannerTerminationCondition(spent))
             self.vertices += self._count_vertices()
             if not self._problem.hasExactSolution():
                 break
             path = self._dense_path()
-            if path is not None and self._space.states_valid(path.states):
+            if path is not None:
                 return PlanStatus.SOLVED, path
             self._problem.clearSolutionPaths()
             self._planner.clear()
-        del solved
         late = budget.iterations is None or steps <= budget.iterations
         return PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT, None
 
@@ -180,7 +179,7 @@ class _Search:
         states = [self._read(solution.getState(i)) for i in range(solution.getStateCount())]
         if not all(self._space.project(q) for q in states[1:-1]):
             return None
-        return Path(np.array(states))
+        return self._space.checked_path(np.array(states))[0]
 
 
 def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:

@@ -8,10 +8,10 @@ from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, 
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.kernels import space as kernels
 from cvqmpt_lab.kernels.bound import BoundSpace, bind, constraint_one, project_one, valid_one
-from cvqmpt_lab.kernels.motion import first_invalid_segment
+from cvqmpt_lab.kernels.motion import refine_and_check
 from cvqmpt_lab.kernels.projection import projection_scratch
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
-from cvqmpt_lab.planning.result import Counters
+from cvqmpt_lab.planning.result import Counters, Path
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.shapes import bounding_radius
 
@@ -121,12 +121,18 @@ class ConstrainedSpace:
         constraint_one(self.bound, q, full, residual, jacobian)
         return residual, jacobian
 
-    def states_valid(self, states: np.ndarray) -> bool:
-        """Whether the straight joint motion through states (m, n) is free at the fine resolution."""
+    def checked_path(self, states: np.ndarray) -> tuple[Path | None, int]:
+        """The path through states (m, n), mended where straight motions leave the manifold, if it is free.
+
+        Returns
+        -------
+        The path, or None with the index of the first segment that fails at the fine resolution.
+        """
         states = np.ascontiguousarray(states)
-        answer = first_invalid_segment(self.arrays, states, len(states)) < 0
+        out = np.empty((8 * len(states) + 64, states.shape[1]))
+        written, bad = refine_and_check(self.arrays, states, len(states), out)
         self.reraise()
-        return answer
+        return (Path(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
 
 
 def _reach(problem: PlanningProblem) -> float:

@@ -1,0 +1,36 @@
+"""`cvqmpt bench`: medians with spread, and counts, of kernels, collision checking and planners."""
+
+import argparse
+import json
+from pathlib import Path
+
+from cli.options import positive_int, writable_file
+from cvqmpt_lab.errors import UnknownChoiceError
+from experiments.bench import BENCHES
+
+EXAMPLES = ("cvqmpt bench kernels", "cvqmpt bench collision --json collision.json", "cvqmpt bench planners --problems 30")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which bench, how much, where to."""
+    parser.add_argument("bench", help=", ".join(BENCHES))
+    parser.add_argument("--problems", type=positive_int, default=20, metavar="N", help="tuning problems to plan (20)")
+    parser.add_argument("--json", type=Path, metavar="F", help="write the figures as json too")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print a table."""
+    if args.bench not in BENCHES:
+        raise UnknownChoiceError("bench", args.bench, BENCHES)
+    if args.json:
+        writable_file(args.json)
+    figures = BENCHES[args.bench](args.problems)
+    width = max(len(figure.name) for figure in figures)
+    for figure in figures:
+        spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""
+        print(f"{figure.name:{width}}  {figure.median:.4g} {figure.unit}{spread}")
+    if args.json:
+        temporary = args.json.with_name(args.json.name + ".tmp")
+        temporary.write_text(json.dumps([figure._asdict() for figure in figures], indent=1) + "\n")
+        temporary.replace(args.json)
+    return 0
