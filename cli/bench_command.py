@@ -8,13 +8,19 @@ from cli.options import positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from experiments.bench import BENCHES
 
-EXAMPLES = ("cvqmpt bench kernels", "cvqmpt bench collision --json collision.json", "cvqmpt bench planners --problems 30")
+EXAMPLES = (
+    "cvqmpt bench kernels",
+    "cvqmpt bench collision --json collision.json",
+    "cvqmpt bench planners --problems 30",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which bench, how much, where to."""
     parser.add_argument("bench", help=", ".join(BENCHES))
-    parser.add_argument("--problems", type=positive_int, default=20, metavar="N", help="tuning problems to plan (20)")
+    parser.add_argument(
+        "--problems", type=positive_int, default=20, metavar="N", help="tuning problems to plan (20)"
+    )
     parser.add_argument("--json", type=Path, metavar="F", help="write the figures as json too")
 
 

@@ -68,7 +68,8 @@ def report(solution: Solution, planner: str) -> list[str]:
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
     counts = plan.counters
     lines = [
-        f"problem     {solution.problem.name}: robot {solution.problem.robot.name}, {len(solution.problem.goals)} goals",
+        f"problem     {solution.problem.name}: robot {solution.problem.robot.name}, "
+        f"{len(solution.problem.goals)} goals",
         f"planner     {planner}, samples: {plan.sampler}",
         f"status      {plan.status}{': ' + plan.detail if plan.detail else ''}",
         f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"

@@ -11,7 +11,9 @@ from cvqmpt_lab.errors import InvalidInputError
 class SamplingDistribution(Protocol):
     """Anything that draws configurations."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What result rows call it."""
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n) [rad or m]."""

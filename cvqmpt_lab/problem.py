@@ -14,7 +14,6 @@ manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-pro
 """
 
 import json
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -154,7 +153,7 @@ class PlanningProblem:
         path = Path(path)
         temporary = path.with_name(path.name + ".tmp")
         temporary.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
-        os.replace(temporary, path)
+        temporary.replace(path)
 
     @staticmethod
     def load(path: Path | str) -> "PlanningProblem":

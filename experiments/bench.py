@@ -121,7 +121,9 @@ def bench_collision(problems: int) -> list[Figure]:
         figures += _crowded(problem, f"{count} boxes", _random_boxes(count, rng), space)
     for count in (10**3, 10**4, 10**5, 10**6):
         points = _shell_points(count, rng)
-        figures += _crowded(problem, f"cloud of {count} points", cloud_specs(PointCloud(points, 0.005), np.eye(4)), space)
+        figures += _crowded(
+            problem, f"cloud of {count} points", cloud_specs(PointCloud(points, 0.005), np.eye(4)), space
+        )
     return figures
 
 

@@ -5,6 +5,7 @@ failure, whatever the planner says.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -75,7 +76,7 @@ def certify(
 def _resampled(states: np.ndarray, resolution: float) -> np.ndarray:
     """Path states (m, n) with straight segments cut into pieces of at most resolution."""
     pieces = [states[:1]]
-    for a, b in zip(states[:-1], states[1:], strict=True):
+    for a, b in pairwise(states):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / resolution)))
         pieces.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
     return np.concatenate(pieces)

@@ -32,7 +32,9 @@ def _sources_digest() -> str:
 
 def _cache_folder() -> str | None:
     """A writable folder for machine code, or None with a warning."""
-    home = os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")) / "cvqmpt_lab"
+    home = (
+        os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")) / "cvqmpt_lab"
+    )
     folder = Path(home).expanduser() / _sources_digest()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -53,7 +55,7 @@ CACHE_FOLDER = _cache_folder()
 
 
 def _compiled(function: Callable | None = None, **options) -> Callable:
-    """njit with our options, its cache in CACHE_FOLDER."""
+    """Compile with our options, caching in CACHE_FOLDER."""
     if function is None:
         return partial(_compiled, **options)
     before = config.CACHE_DIR

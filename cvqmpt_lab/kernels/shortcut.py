@@ -1,9 +1,7 @@
 """Shortcutting on the constraint manifold: the simplification that every planner's path goes through."""
 
-
 from cvqmpt_lab.kernels.compiling import inlined, kernel
 from cvqmpt_lab.kernels.motion import bisect_motion, distance, segment_valid
-
 
 KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
 

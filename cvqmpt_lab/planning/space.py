@@ -1,6 +1,6 @@
 """A problem's planning space: limits, projection and state checks, counted, for every planner alike."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class ConstrainedSpace:
             state=np.zeros(n),
             scratch=projection_scratch(n, len(regions.axis)),
         )
-        self._bound = None
+        self._bound: BoundSpace | None = None
 
     @property
     def counters(self) -> Counters:
@@ -92,6 +92,12 @@ class ConstrainedSpace:
     def reraise(self) -> None:
         """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C included)."""
         self._check.reraise()
+
+    def unconstrained(self) -> "ConstrainedSpace":
+        """The same world without its constraint; work done there is counted here."""
+        free = ConstrainedSpace(replace(self.problem, constraint=()), self.backend, self.settings)
+        free.arrays = free.arrays._replace(counters=self.arrays.counters)
+        return free
 
     @property
     def bound(self) -> BoundSpace:
@@ -137,5 +143,7 @@ class ConstrainedSpace:
 
 def _reach(problem: PlanningProblem) -> float:
     """Half edge [m] of the cube that the robot and what it carries cannot leave."""
-    carried = [np.linalg.norm(a.T_hand_object[:3, 3]) + bounding_radius(a.shape) for a in problem.attachments]
+    carried = [
+        float(np.linalg.norm(a.T_hand_object[:3, 3])) + bounding_radius(a.shape) for a in problem.attachments
+    ]
     return problem.robot.reach + max(carried, default=0.0)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.guided import GuidedBiRRT
 from cvqmpt_lab.planning.planner import Planner
 
 
@@ -18,6 +19,7 @@ def _ompl(name: str, manifold: str) -> Callable[[], Planner]:
 
 PLANNERS: Mapping[str, Callable[[], Planner]] = {
     "birrt": BiRRT,
+    "guided-birrt": GuidedBiRRT,
     "ompl-projected": _ompl("ompl-projected", "projected"),
     "atlas-rrt": _ompl("atlas-rrt", "atlas"),
     "tb-rrt": _ompl("tb-rrt", "tangent-bundle"),

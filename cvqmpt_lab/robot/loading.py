@@ -134,7 +134,7 @@ def _refuse_unsupported_joints(urdf: Path, locked: Mapping[str, float]) -> None:
         root = ElementTree.parse(urdf).getroot()
     except (OSError, ElementTree.ParseError) as error:
         raise InvalidInputError(f"cannot read URDF {urdf}: {error}") from error
-    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
     for name in locked:
         if name not in joints:
             raise UnknownChoiceError("joint to lock", name, joints)

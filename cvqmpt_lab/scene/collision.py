@@ -103,10 +103,10 @@ def _paired_geometry(robot: Robot, scene: Scene, attachments: Sequence[Attachmen
             geometry.addGeometryObject(pin.GeometryObject(item.name, hand.parentJoint, placement, shape))
         )
     obstacles = []
-    for item in scene.objects:
-        if item.obstacle and _within_reach(item, robot, attachments):
-            placement = pin.SE3(item.T_world_object)
-            piece = pin.GeometryObject(item.name, 0, placement, coal_shape(item.shape))
+    for obstacle in scene.objects:
+        if obstacle.obstacle and _within_reach(obstacle, robot, attachments):
+            placement = pin.SE3(obstacle.T_world_object)
+            piece = pin.GeometryObject(obstacle.name, 0, placement, coal_shape(obstacle.shape))
             obstacles.append(geometry.addGeometryObject(piece))
     moving = [i for i in range(n_links) if geometry.geometryObjects[i].parentJoint != 0]
     for k in obstacles:

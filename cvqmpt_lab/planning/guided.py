@@ -1,0 +1,75 @@
+"""The honest rival of every learned sampler: plan without the constraint first, then sample around that path."""
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution, Uniform
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget, Path, PlanResult
+from cvqmpt_lab.planning.simplify import simplify
+from cvqmpt_lab.planning.space import ConstrainedSpace
+
+
+@dataclass(frozen=True)
+class GuidedBiRRT:
+    """birrt with Gaussians around the waypoints of an unconstrained path, which it plans and pays for itself.
+
+    Attributes
+    ----------
+    std: of each Gaussian, in every joint [rad]. uniform_share: samples drawn anywhere instead.
+    spacing: between waypoints along the path [rad].
+    """
+
+    name: str = "guided-birrt"
+    std: float = 0.5
+    uniform_share: float = 0.15
+    spacing: float = 0.5
+    core: BiRRT = field(default_factory=BiRRT)
+
+    def plan(
+        self,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        sampler: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> PlanResult:
+        """Search a path from start (n,) to any row of goals (k, n); `sampler` serves the unconstrained part."""
+        began = time.perf_counter()
+        before = space.counters
+        free_space = space.unconstrained()
+        guide = self.core.plan(free_space, start, goals, sampler, budget, rng)
+        if guide.path is None:
+            return replace(guide, detail="no unconstrained path")
+        uniform = Uniform(space.robot.lower, space.robot.upper)
+        mixture = self._around(simplify(free_space, guide.path, rng).path, uniform)
+        result = self.core.plan(space, start, goals, mixture, self._rest(budget, guide, began), rng)
+        return replace(
+            result,
+            seconds=time.perf_counter() - began,
+            counters=space.counters_since(before),
+            vertices=guide.vertices + result.vertices,
+        )
+
+    def _around(self, path: Path, uniform: Uniform) -> GaussianMixture:
+        """Equal Gaussians at waypoints `spacing` apart along a path, and a uniform share."""
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.states, axis=0), axis=1))])
+        marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / self.spacing)) + 1))
+        means = np.stack([np.interp(marks, along, joint) for joint in path.states.T], axis=1)
+        k, n = means.shape
+        covariances = np.tile(self.std**2 * np.eye(n), (k, 1, 1))
+        return GaussianMixture(means, covariances, np.full(k, 1.0 / k), uniform, self.uniform_share, "guide")
+
+    @staticmethod
+    def _rest(budget: Budget, guide: PlanResult, began: float) -> Budget:
+        """What the unconstrained search left over, at least a sliver."""
+        seconds = (
+            None if budget.seconds is None else max(budget.seconds - (time.perf_counter() - began), 1e-3)
+        )
+        iterations = (
+            None if budget.iterations is None else max(budget.iterations - guide.counters.iterations, 1)
+        )
+        return Budget(seconds, iterations)
