@@ -54,7 +54,8 @@ class GaussianMixture:
         k, n = self.means.shape
         if self.covariances.shape != (k, n, n) or self.weights.shape != (k,):
             raise InvalidInputError(
-                f"mixture of {k} means in {n} joints: covariances {self.covariances.shape}, weights {self.weights.shape}"
+                f"mixture of {k} means in {n} joints: covariances {self.covariances.shape}, "
+                f"weights {self.weights.shape}"
             )
         if not np.isclose(self.weights.sum(), 1.0) or (self.weights < 0).any():
             raise InvalidInputError(

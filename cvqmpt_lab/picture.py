@@ -28,11 +28,11 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
     "handle": (0.52, 0.54, 0.57),
-    "panel": (0.96, 0.95, 0.92),
     "countertop": (0.55, 0.45, 0.37),
     "plate": (0.16, 0.16, 0.18),
     "knob": (0.20, 0.20, 0.22),
     "range": (0.45, 0.47, 0.50),
+    "panel": (0.96, 0.95, 0.92),
     "hood": (0.70, 0.72, 0.75),
     "pedestal": (0.36, 0.38, 0.42),
 }
@@ -50,7 +50,7 @@ SUPERSAMPLING = 2
 NEAR = 0.05  # [m] triangles closer to the camera than this are left out
 LIGHT = np.array([-0.62, -0.42, 0.66])  # direction towards the sun, length 1
 SUN_DISTANCE, SUN_ANGLE = 40.0, 0.13  # [m], [rad]: a far camera whose view is the shadow map
-SHADOW_PIXELS, SHADOW_BIAS = 1536, 0.012  # map size; a surface shadows only what lies this far behind it [m]
+SHADOW_PIXELS, SHADOW_BIAS = 1536, 0.025  # map size; a surface shadows only what lies this far behind it [m]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,54 @@
+# make venv | reproduce | test | lint | bench | clean. All but the first call make venv.
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help venv reproduce test lint warmup check-tables pytest bench clean
+
+help:
+	@echo "make venv        .venv with everything pinned in constraints.txt (PYTHON=python3.11 picks another)"
+	@echo "make reproduce   20 problems of the place task, all planners, and their table"
+	@echo "make test        lint, table regression, tests"
+	@echo "make lint        ruff, mypy, import-linter"
+	@echo "make bench       what kernels and planners cost here"
+	@echo "make clean       remove caches and builds; .venv and runs/ stay"
+
+venv: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "Python 3.11 or newer is needed: make venv PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	@touch $@
+
+warmup: venv
+	$(BIN)/cvqmpt warmup
+
+reproduce: warmup
+	$(BIN)/cvqmpt reproduce place-task --problems 20 --seeds 1 --cutoff 10 --out runs/place-task-small
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+check-tables: venv
+	$(BIN)/cvqmpt check-tables
+
+pytest: venv
+	$(BIN)/pytest -n 2
+
+# Tests come last, so that their summary is the last thing printed.
+test: lint warmup check-tables pytest
+
+bench: warmup
+	$(BIN)/cvqmpt bench kernels
+	$(BIN)/cvqmpt bench planners
+
+clean:
+	rm -rf build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +
