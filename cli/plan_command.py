@@ -1,6 +1,7 @@
 """`cvqmpt plan`: one problem, one planner, a short human report."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from cli.options import add_budget, budget, writable_file
@@ -10,6 +11,7 @@ from cvqmpt_lab.planning.table import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import UnsolvableProblem
 from experiments.suites import SUITES, suite_named
+from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
@@ -38,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
             writable_file(path)
     planner = planner_named(args.planner)
     problem = _problem(args)
+    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     solution = solve(problem, planner, budget(args), args.seed, backend=args.backend)
     print("\n".join(report(solution, args.planner)))
     if args.save_path and solution.simplified:

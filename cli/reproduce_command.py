@@ -10,6 +10,7 @@ from cvqmpt_lab.evaluation.results import ResultRow
 from cvqmpt_lab.planning.table import PLANNERS
 from experiments.run import Experiment, default_jobs, run_experiment
 from experiments.suites import SUITES, suite_named
+from experiments.warmup import compile_kernels
 from paper_tables.render import render_directory
 
 EXAMPLES = (
@@ -54,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
         backend=args.backend,
     )
     out = args.out or Path("runs") / suite.name
+    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     bar = ProgressBar(suite.name)
 
     def show(done: int, total: int, row: ResultRow | None) -> None:

@@ -7,6 +7,7 @@ of the robot along the path and at the goal, and the hand's trace, are blended o
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,7 +51,10 @@ SUPERSAMPLING = 2
 NEAR = 0.05  # [m] triangles closer to the camera than this are left out
 LIGHT = np.array([-0.62, -0.42, 0.66])  # direction towards the sun, length 1
 SUN_DISTANCE, SUN_ANGLE = 40.0, 0.13  # [m], [rad]: a far camera whose view is the shadow map
-SHADOW_PIXELS, SHADOW_BIAS = 1536, 0.025  # map size; a surface shadows only what lies this far behind it [m]
+SHADOW_PIXELS, SHADOW_BIAS = (
+    1536,
+    0.025,
+)  # largest map; a surface shadows only what lies this far behind it [m]
 
 
 @dataclass(frozen=True)
@@ -316,7 +320,7 @@ def _solid_image(
     mesh: Mesh, ground: float | None, camera: Camera, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours (rows, columns, 3) and depth [m] of the mesh with shadows and outlines, over the ground."""
-    lit = _shadows(mesh)
+    lit = _shadows(mesh, min(SHADOW_PIXELS, 2 * max(shape)))
     view = rasterise(mesh, camera, shape)
     at = view.rows, view.columns
     image, depth, piece = np.ones((*shape, 3)), np.full(shape, np.inf), np.full(shape, -1)
@@ -349,11 +353,11 @@ def _fill_ground(
     image[rows, columns] += share[:, None] * (colours - 1.0)
 
 
-def _shadows(mesh: Mesh) -> Callable[[np.ndarray], np.ndarray]:
-    """A function from points (k, 3) to the share (k,) of sunlight that the mesh lets through to them."""
+def _shadows(mesh: Mesh, side: int) -> Callable[[np.ndarray], np.ndarray]:
+    """A function from points (k, 3) to the share (k,) of sunlight that a mesh lets through; side: map size."""
     middle = 0.5 * (mesh.corners.min(axis=(0, 1)) + mesh.corners.max(axis=(0, 1)))
     sun = Camera(tuple(middle + SUN_DISTANCE * LIGHT), tuple(middle), SUN_ANGLE)
-    shape = (SHADOW_PIXELS, SHADOW_PIXELS)
+    shape = (side, side)
     view = rasterise(mesh, sun, shape)
     blocked = np.full(shape, np.inf)
     blocked[view.rows, view.columns] = view.depth + SHADOW_BIAS
@@ -362,9 +366,7 @@ def _shadows(mesh: Mesh) -> Callable[[np.ndarray], np.ndarray]:
         column, row, depth = np.moveaxis(sun.screen(points, shape), -1, 0)
         total = np.zeros(len(points))
         for i, j in np.ndindex(3, 3):
-            at = tuple(
-                np.clip((a + b - 0.5).astype(int), 0, SHADOW_PIXELS - 1) for a, b in ((row, i), (column, j))
-            )
+            at = tuple(np.clip((a + b - 0.5).astype(int), 0, side - 1) for a, b in ((row, i), (column, j)))
             total += depth < blocked[at]
         return total / 9.0
 
@@ -399,6 +401,8 @@ def _write_png(path: Path, image: np.ndarray) -> None:
         temporary.write_bytes(data)
         temporary.replace(path)
     except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
         raise InvalidInputError(
             f"cannot write picture {path}: {error.strerror}; name a file in a folder that exists"
         ) from error

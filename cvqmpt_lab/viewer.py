@@ -7,6 +7,7 @@ Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/trees``, ``
 import shutil
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,8 @@ def _save(solution: Solution, path: Path) -> None:
         recording.disconnect()
         temporary.replace(path)
     except (OSError, RuntimeError) as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
         reason = " ".join(str(error).split())
         raise InvalidInputError(
             f"cannot write recording {path}: {reason}; name a file in a folder that exists"

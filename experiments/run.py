@@ -21,6 +21,7 @@ from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import UnsolvableProblem
 from experiments.suites import suite_named
+from experiments.warmup import compile_kernels
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,8 @@ def run_task(task: Task) -> ResultRow | UnsolvableProblem:
 
 
 def _warm_up(suite: str, problem: int, backend: str, planners: tuple[str, ...]) -> None:
-    """Load compiled code in a fresh worker, so that no row pays for it."""
+    """Load compiled code and planner libraries in a fresh worker, so that no row pays for it."""
+    compile_kernels(lambda _: None)
     for planner in planners:
         run_task(Task(suite, problem, planner, 0, Budget(seconds=5.0, iterations=1), backend))
     _problem.cache_clear()

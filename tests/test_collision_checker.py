@@ -80,7 +80,8 @@ def test_clearance_to_a_ball_is_the_distance_to_the_hulls(panda):
 def test_clearance_is_negative_in_collision(panda):
     deep = CollisionChecker(panda, scene_with(ball(ahead_of_hand(panda, 0.05), 0.04)))
     pair, depth = deep.nearest_pair(HOME)
-    assert pair.second == "ball" and -0.2 < depth < -0.01 and deep.clearance(HOME) == depth
+    assert pair.second == "ball" and -0.2 < depth < -0.01
+    assert deep.clearance(HOME) == pytest.approx(depth, abs=1e-9)
     near = CollisionChecker(panda, scene_with(ball(ahead_of_hand(panda, 0.2), 0.04)))
     assert 0.0 < near.clearance(HOME) < 0.1
 
@@ -96,7 +97,7 @@ def test_margin_is_a_distance(panda, method):
 def test_the_carried_can_collides_with_a_box_in_front(panda):
     can = carried_can()
     T_world_can = panda.pose(HOME) @ can.T_hand_object
-    scene = scene_with(brick(T_world_can[:3, 3] + 0.06 * panda.pose(HOME)[:3, 2], size=0.03))
+    scene = scene_with(brick(T_world_can[:3, 3] + 0.045 * panda.pose(HOME)[:3, 2], size=0.03))
     assert not CollisionChecker(panda, scene).in_collision(HOME)
     carrying = CollisionChecker(panda, scene, (can,))
     assert carrying.in_collision(HOME)
@@ -140,8 +141,9 @@ def test_batch_equals_single(panda, open_kitchen):
     np.testing.assert_array_equal(answers, [checker.in_collision(q) for q in states])
 
 
-@pytest.mark.parametrize("margin", [0.0, 0.03])
-@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("count", "margin"), [(2000, 0.0), (2000, 0.03), pytest.param(100_000, 0.0, marks=pytest.mark.slow)]
+)
 def test_broad_phase_equals_the_pair_loop(panda, open_kitchen, count, margin):
     checker = CollisionChecker(panda, open_kitchen, (carried_can(),), margin)
     states = panda.random_configurations(np.random.default_rng(3), count)

@@ -69,3 +69,8 @@ def _compiled(function: Callable | None = None, **options) -> Callable:
 kernel = partial(_compiled, _nrt=False)
 inlined = partial(_compiled, _nrt=False, forceinline=True)
 driver = partial(_compiled)
+
+
+def compiled_before() -> bool:
+    """Whether machine code of these sources is already on disk."""
+    return CACHE_FOLDER is not None and any(Path(CACHE_FOLDER).rglob("*.nbc"))

@@ -1,0 +1,47 @@
+"""`cvqmpt check-tables`: a tiny profile and the committed tables against what is committed."""
+
+import argparse
+import time
+from pathlib import Path
+
+from cli.options import ProgressBar
+from experiments.regression import EXPECTED, Expectations, compare, made_with, measure
+from paper_tables.committed import RESULTS, committed_directories, differing_cells
+
+EXAMPLES = ("cvqmpt check-tables", "cvqmpt check-tables --update")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to compare with, or to write it."""
+    parser.add_argument("--update", action="store_true", help="write the expectations instead of comparing")
+    parser.add_argument(
+        "--expected", type=Path, default=EXPECTED, metavar="F.json", help="expectations (the committed ones)"
+    )
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, metavar="DIR", help="folder of results directories"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, or update; exit code 1 when something differs."""
+    expected = None if args.update else Expectations.load(args.expected)
+    began = time.perf_counter()
+    bar = ProgressBar("check-tables")
+    outcomes = measure(on_progress=bar)
+    print(f"{len(outcomes)} runs in {time.perf_counter() - began:.0f} s")
+    if expected is None:
+        Expectations(made_with(), outcomes).save(args.expected)
+        print(f"expectations written to {args.expected}")
+        return 0
+    comparison = compare(expected, outcomes, made_with())
+    directories = committed_directories(args.results)
+    cells = [line for directory in directories for line in differing_cells(directory)]
+    print(f"runs compared {comparison.mode}: {_verdict(comparison.differences)}")
+    print(f"tables of {len(directories)} results directories rendered anew: {_verdict(cells)}")
+    for line in (*comparison.differences, *cells):
+        print(f"  differs: {line}")
+    return 1 if comparison.differences or cells else 0
+
+
+def _verdict(differences: tuple[str, ...] | list[str]) -> str:
+    return f"{len(differences)} differences" if differences else "no difference"

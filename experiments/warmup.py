@@ -1,0 +1,36 @@
+"""Compiling or loading every kernel before anything is timed."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import compiled_before
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.simplify import SimplifySettings
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.planning.table import planner_named
+from cvqmpt_lab.problem import PlanningProblem
+from experiments.place_task import place_problem
+
+PATIENT = SimplifySettings(seconds=1e9)
+
+
+def compile_kernels(announce: Callable[[str], None]) -> float:
+    """Touch every kernel a planner may call, once; seconds it took.
+
+    announce: told beforehand when nothing is compiled yet, because that takes about a minute.
+    """
+    began = time.perf_counter()
+    if not compiled_before():
+        announce("compiling kernels, about a minute, once per machine and version ...")
+    problem = place_problem(0)
+    assert isinstance(problem, PlanningProblem)
+    solve(problem, planner_named("birrt"), Budget(iterations=1000), seed=0, simplification=PATIENT, clearance=False)
+    space = ConstrainedSpace(problem)
+    q = np.array(problem.start)
+    space.project(q)
+    space.valid(q)
+    space.residual_and_jacobian(q)
+    return time.perf_counter() - began
