@@ -1,6 +1,8 @@
 """`cvqmpt plan`: one problem, one planner, a short human report."""
 
 import argparse
+import json
+import math
 import sys
 from pathlib import Path
 
@@ -17,6 +19,7 @@ EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
     "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
     "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
+    "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 
 
@@ -25,6 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suite", nargs="?", help=f"suite of the problem: {', '.join(SUITES)}")
     parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
     parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
+    robot = parser.add_argument_group("another robot for the problem of --problem-file")
+    robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="a serial arm of hinges and sliders")
+    robot.add_argument("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
+    robot.add_argument("--srdf", type=Path, metavar="ARM.srdf", help="file with link pairs not to check")
+    robot.add_argument(
+        "--lock",
+        action="append",
+        default=[],
+        metavar="JOINT=VALUE",
+        help="fix a joint [rad or m]; repeatable",
+    )
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
     add_budget(parser)
@@ -58,12 +72,56 @@ def run(args: argparse.Namespace) -> int:
 def _problem(args: argparse.Namespace) -> PlanningProblem:
     if (args.suite is None) == (args.problem_file is None):
         raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
+    robot = _robot_source(args)
     if args.problem_file is not None:
-        return PlanningProblem.load(args.problem_file)
+        return _with_robot(args.problem_file, robot) if robot else PlanningProblem.load(args.problem_file)
+    if robot:
+        raise InvalidInputError("--urdf goes with --problem-file: the problems of a suite are for its robot")
     problem = suite_named(args.suite).problem(args.problem)
     if isinstance(problem, UnsolvableProblem):
         raise InvalidInputError(f"problem {args.problem} of {args.suite} has no solution: {problem.reason}")
     return problem
+
+
+def _robot_source(args: argparse.Namespace) -> dict | None:
+    """What a problem file would say of the robot of --urdf; None without one."""
+    if args.urdf is None:
+        if args.end_effector or args.srdf or args.lock:
+            raise InvalidInputError("--end-effector, --srdf and --lock describe the robot of --urdf; give it")
+        return None
+    if args.end_effector is None:
+        raise InvalidInputError("--urdf needs --end-effector FRAME, a frame of that URDF")
+    return {
+        "urdf": str(args.urdf),
+        "end_effector": args.end_effector,
+        "srdf": str(args.srdf) if args.srdf else None,
+        "locked": dict(_locked_joint(text) for text in args.lock),
+    }
+
+
+def _locked_joint(text: str) -> tuple[str, float]:
+    """The joint and value of one --lock."""
+    joint, _, value = text.rpartition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not joint or not math.isfinite(number):
+        raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
+    return joint, number
+
+
+def _with_robot(path: Path, robot: dict) -> PlanningProblem:
+    """The problem of a file; its robot is replaced before start and goals are checked against it."""
+    try:
+        data = json.loads(path.read_text())
+        return PlanningProblem.from_dict({**data, "robot": robot} if isinstance(data, dict) else data)
+    except OSError as error:
+        raise InvalidInputError(f"cannot read problem file {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise InvalidInputError(f"{path} is not json: {error}") from error
+    except InvalidInputError as error:
+        raise type(error)(f"{path}: {error}") from error
 
 
 def report(solution: Solution, planner: str) -> list[str]:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, InvalidProblemError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
@@ -54,7 +54,11 @@ class PlanningProblem:
     def __post_init__(self) -> None:
         n = self.robot.dof
         start = np.array(self.start, dtype=float)
-        goals = np.array(self.goals, dtype=float).reshape(-1, n) if np.size(self.goals) else np.empty((0, n))
+        goals = np.array(self.goals, dtype=float) if np.size(self.goals) else np.empty((0, n))
+        if goals.ndim != 2 or goals.shape[1] != n:
+            raise InvalidProblemError(
+                f"{self.name}: goals have shape {goals.shape}, robot {self.robot.name} needs (k, {n})"
+            )
         if start.shape != (n,):
             raise InvalidProblemError(
                 f"{self.name}: start has shape {start.shape}, robot {self.robot.name} needs ({n},)"
@@ -130,6 +134,8 @@ class PlanningProblem:
         for field in ("name", "robot", "scene", "start"):
             if field not in data:
                 raise InvalidInputError(f"problem field {field!r} is missing")
+        if not isinstance(data["name"], str | int):
+            raise InvalidInputError(f"problem field 'name' must be a string, not {data['name']!r}")
         region = data.get("goal_region")
         return PlanningProblem(
             name=str(data["name"]),
@@ -138,10 +144,10 @@ class PlanningProblem:
             start=_numbers(data["start"], "start"),
             goals=_numbers(data.get("goals", []), "goals"),
             constraint=tuple(
-                TaskSpaceRegion.from_dict(_mapping(r, "constraint")) for r in data.get("constraint", [])
+                TaskSpaceRegion.from_dict(_mapping(r, "constraint")) for r in _list(data, "constraint")
             ),
             attachments=tuple(
-                Attachment.from_dict(_mapping(a, "attachments")) for a in data.get("attachments", [])
+                Attachment.from_dict(_mapping(a, "attachments")) for a in _list(data, "attachments")
             ),
             goal_region=TaskSpaceRegion.from_dict(_mapping(region, "goal_region"))
             if region is not None
@@ -152,8 +158,11 @@ class PlanningProblem:
         """Write the json form; a half-written file never takes the name."""
         path = Path(path)
         temporary = path.with_name(path.name + ".tmp")
-        temporary.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
-        temporary.replace(path)
+        try:
+            temporary.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
+            temporary.replace(path)
+        except OSError as error:
+            raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
     @staticmethod
     def load(path: Path | str) -> "PlanningProblem":
@@ -162,15 +171,24 @@ class PlanningProblem:
             return PlanningProblem.from_dict(json.loads(Path(path).read_text()))
         except OSError as error:
             raise InvalidInputError(f"cannot read problem file {path}: {error.strerror}") from error
-        except json.JSONDecodeError as error:
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
             raise InvalidInputError(f"{path} is not json: {error}") from error
         except InvalidInputError as error:
             raise type(error)(f"{path}: {error}") from error
+        except CvqmptError as error:
+            raise InvalidInputError(f"{path}: {error}") from error
 
 
 def _mapping(value: object, field: str) -> dict:
     if not isinstance(value, dict):
         raise InvalidInputError(f"problem field {field!r} must be a json object, not {type(value).__name__}")
+    return value
+
+
+def _list(data: dict, field: str) -> list:
+    value = data.get(field, [])
+    if not isinstance(value, list):
+        raise InvalidInputError(f"problem field {field!r} must be a list, not {type(value).__name__}")
     return value
 
 

@@ -27,7 +27,14 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
         announce("compiling kernels, about a minute, once per machine and version ...")
     problem = place_problem(0)
     assert isinstance(problem, PlanningProblem)
-    solve(problem, planner_named("birrt"), Budget(iterations=1000), seed=0, simplification=PATIENT, clearance=False)
+    solve(
+        problem,
+        planner_named("birrt"),
+        Budget(iterations=1000),
+        seed=0,
+        simplification=PATIENT,
+        clearance=False,
+    )
     space = ConstrainedSpace(problem)
     q = np.array(problem.start)
     space.project(q)

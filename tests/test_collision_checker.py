@@ -166,7 +166,6 @@ MISSED = {
 }
 
 
-@pytest.mark.xfail(strict=True, reason="coal's GJK without contacts stops within 1e-6 of the origin: 'free'")
 @pytest.mark.parametrize("q", MISSED.values(), ids=MISSED)
 def test_penetrations_that_were_once_missed(panda, open_kitchen, q):
     """Around these states 3-6 % of the answers are 'free', though every pair overlaps by 0.5 mm and more."""
@@ -176,7 +175,6 @@ def test_penetrations_that_were_once_missed(panda, open_kitchen, q):
     assert checker.in_collision_batch(states).all()
 
 
-@pytest.mark.xfail(strict=True, reason="the octree's cells neither contain the balls nor lie inside them")
 def test_a_cloud_is_its_balls(panda):
     points = np.random.default_rng(4).uniform((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2), (60, 3))
     radius = 0.03

@@ -39,7 +39,9 @@ def near_contact(checker, rng, count):
         inside = checker.in_collision_batch(middle)[:, None]
         free, colliding = np.where(inside, free, middle), np.where(inside, middle, colliding)
     noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal((n, AROUND, robot.dof))
-    return np.clip(free[:, None] + noise / np.sqrt(robot.dof), robot.lower, robot.upper).reshape(-1, robot.dof)
+    return np.clip(free[:, None] + noise / np.sqrt(robot.dof), robot.lower, robot.upper).reshape(
+        -1, robot.dof
+    )
 
 
 def compare(robot, scene, count, attachments=(), margin=0.0):
@@ -65,7 +67,8 @@ def with_one_of_each():
     return Scene(
         "one of each",
         tuple(
-            SceneObject(f"object_{i}", s, pose(p) @ T) for i, (s, p) in enumerate(zip(shapes, places, strict=True))
+            SceneObject(f"object_{i}", s, pose(p) @ T)
+            for i, (s, p) in enumerate(zip(shapes, places, strict=True))
         ),
     )
 
@@ -139,7 +142,6 @@ def test_clouds_with_nan_are_refused():
         PointCloud(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.02)
 
 
-@pytest.mark.xfail(strict=True, reason="comparisons with NaN prune every pair")
 def test_nan_configurations_collide(panda):
     assert compiled_hits(panda, NOTHING, np.full((1, 7), np.nan)).all()
 

@@ -149,7 +149,6 @@ def test_robots_can_be_pickled(panda, slider_arm_urdf):
         np.testing.assert_array_equal(copy.pose(q), robot.pose(q))
 
 
-@pytest.mark.xfail(strict=True, reason="package_dirs are not part of Robot.source")
 def test_a_robot_with_package_folders_can_be_pickled(edited, tmp_path):
     (tmp_path / "meshes" / "shapes").mkdir(parents=True)
     (tmp_path / "meshes" / "shapes" / "tetrahedron.obj").write_text(
@@ -203,7 +202,6 @@ def test_missing_mesh_is_named(edited):
         "solid empty\nendsolid empty\n",
         pytest.param(
             FLAT_MESH,
-            marks=pytest.mark.xfail(strict=True, reason="coal's own multi-line ValueError for a flat mesh"),
         ),
     ],
 )
@@ -235,7 +233,6 @@ def test_unreadable_urdf_is_named(edited, tmp_path):
     ],
     ids=["lock a fixed joint", "lock at NaN", "lock at a word", "missing srdf"],
 )
-@pytest.mark.xfail(strict=True, reason="accepted, or another library's error")
 def test_unusable_options_are_named(slider_arm_urdf, options):
     refused(CvqmptError, "mount|rail|none.srdf", load_robot, slider_arm_urdf, "tool", **options)
 
@@ -251,7 +248,6 @@ def test_unusable_options_are_named(slider_arm_urdf, options):
     ],
     ids=str,
 )
-@pytest.mark.xfail(strict=True, reason="TypeError instead of a named field")
 def test_malformed_sources_are_named(source):
     with pytest.raises(CvqmptError):
         robot_from_source(source)

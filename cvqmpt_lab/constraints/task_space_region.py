@@ -44,8 +44,16 @@ class TaskSpaceRegion:
             object.__setattr__(self, name, value)
         for name in ("T0_w", "Tw_e"):
             rotation = getattr(self, name)[:3, :3]
-            if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
-                raise InvalidInputError(f"task-space region field {name!r} does not hold a rotation matrix")
+            rigid = np.isfinite(getattr(self, name)).all() and np.array_equal(
+                getattr(self, name)[3], (0, 0, 0, 1)
+            )
+            if (
+                not (rigid and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6))
+                or np.linalg.det(rotation) < 0
+            ):
+                raise InvalidInputError(
+                    f"task-space region field {name!r} is no pose: rotation matrix and position"
+                )
         if (self.Bw[:, 0] > self.Bw[:, 1]).any():
             row = int(np.argmax(self.Bw[:, 0] > self.Bw[:, 1]))
             raise InvalidInputError(f"task-space region field 'Bw': row {row} has lower > upper")
@@ -66,6 +74,14 @@ class TaskSpaceRegion:
             )
         lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
         x = rng.uniform(lower, upper)
+        for _ in range(1000):  # a rotation vector longer than pi would stand for another one
+            if np.linalg.norm(x[3:]) <= np.pi:
+                break
+            x = rng.uniform(lower, upper)
+        else:
+            raise InvalidInputError(
+                "cannot sample poses of a region whose rotation bounds lie beyond angle pi"
+            )
         T_w_displaced = np.eye(4)
         T_w_displaced[:3, :3] = Rotation.from_rotvec(x[3:]).as_matrix()
         T_w_displaced[:3, 3] = x[:3]

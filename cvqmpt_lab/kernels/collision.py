@@ -347,6 +347,8 @@ def state_in_collision(link_rotation, link_translation, robot, scene, margin):
     for link in range(n_links):
         x, y, z = _placed(link_rotation, link_translation, link, robot.link_centre, link)
         robot.placed[link, 0], robot.placed[link, 1], robot.placed[link, 2] = x, y, z
+        if not np.isfinite(x + y + z):
+            return True
     for link in range(n_links - 1, 0, -1):
         if robot.link_radius[link] >= 0.0 and _link_hits_obstacle(
             link_rotation, link_translation, robot, scene, link, margin

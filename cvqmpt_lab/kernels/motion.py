@@ -150,7 +150,7 @@ def segment_valid(space, a, b):
 
 @kernel
 def refine_and_check(space, states, count, out):
-    """Copy a path into out (k, n), with projected states put in until every straight motion is good.
+    """Copy a path into out (k, n), with projected states put in until every straight motion is short and good.
 
     Parameters
     ----------
@@ -171,7 +171,9 @@ def refine_and_check(space, states, count, out):
         for j in range(n):
             out[written, j] = states[i, j]
         halvings = 0
-        while not chord_on_manifold(space, out[written - 1], out[written]):
+        while distance(out[written - 1], out[written]) > DEVIATION * space.step or not chord_on_manifold(
+            space, out[written - 1], out[written]
+        ):
             for j in range(n):
                 out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
             halvings += 1

@@ -150,9 +150,10 @@ class _Search:
         def spent() -> bool:
             nonlocal steps
             steps += 1
-            self._space.arrays.counters[ITERATIONS] += 1
             late = budget.seconds is not None and time.perf_counter() - began >= budget.seconds
-            return late or (budget.iterations is not None and steps > budget.iterations)
+            late = late or (budget.iterations is not None and steps > budget.iterations)
+            self._space.arrays.counters[ITERATIONS] += not late
+            return late
 
         while True:
             self._planner.solve(ob.PlannerTerminationCondition(spent))

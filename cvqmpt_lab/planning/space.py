@@ -135,7 +135,8 @@ class ConstrainedSpace:
         The path, or None with the index of the first segment that fails at the fine resolution.
         """
         states = np.ascontiguousarray(states)
-        out = np.empty((8 * len(states) + 64, states.shape[1]))
+        room = 8 * len(states) + 4 * int(Path(states).length / self.settings.step) + 64
+        out = np.empty((room, states.shape[1]))
         written, bad = refine_and_check(self.arrays, states, len(states), out)
         self.reraise()
         return (Path(out[:written].copy()), -1) if bad < 0 else (None, int(bad))

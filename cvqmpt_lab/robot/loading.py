@@ -4,6 +4,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from functools import lru_cache
+from numbers import Real
 from pathlib import Path
 
 import coal
@@ -84,6 +85,7 @@ def load_robot(
             "end_effector": end_effector,
             "srdf": str(Path(srdf).resolve()) if srdf else None,
             "locked": locked,
+            "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
         },
         model=model,
         collision_model=geometry,
@@ -98,11 +100,18 @@ def load_robot(
 
 def robot_from_source(source: Mapping) -> Robot:
     """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``."""
-    return _cached_robot(tuple(sorted((k, _frozen(v)) for k, v in source.items())))
+    try:
+        return _cached_robot(tuple(sorted((k, _frozen(v)) for k, v in source.items())))
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(
+            f"problem field 'robot' is malformed: {' '.join(str(error).split())}"
+        ) from error
 
 
 def _frozen(value: object) -> object:
-    return tuple(sorted(value.items())) if isinstance(value, Mapping) else value
+    if isinstance(value, Mapping):
+        return tuple(sorted(value.items()))
+    return tuple(value) if isinstance(value, list) else value
 
 
 @lru_cache(maxsize=8)
@@ -112,7 +121,11 @@ def _cached_robot(items: tuple) -> Robot:
         if "end_effector" not in source:
             raise InvalidInputError("robot field 'end_effector' is missing: name a frame of the URDF")
         return load_robot(
-            source["urdf"], source["end_effector"], source.get("srdf"), dict(source.get("locked") or ())
+            source["urdf"],
+            source["end_effector"],
+            source.get("srdf"),
+            dict(source.get("locked") or ()),
+            tuple(Path(folder) for folder in source.get("package_dirs") or ()),
         )
     if source.get("name") != "panda":
         raise UnknownChoiceError("robot", source.get("name"), ["panda", "or give 'urdf' and 'end_effector'"])
@@ -135,9 +148,14 @@ def _refuse_unsupported_joints(urdf: Path, locked: Mapping[str, float]) -> None:
     except (OSError, ElementTree.ParseError) as error:
         raise InvalidInputError(f"cannot read URDF {urdf}: {error}") from error
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
-    for name in locked:
-        if name not in joints:
-            raise UnknownChoiceError("joint to lock", name, joints)
+    movable = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
+    for name, value in locked.items():
+        if name not in movable:
+            raise UnknownChoiceError("joint to lock", name, movable)
+        if not isinstance(value, Real) or not np.isfinite(float(value)):
+            raise InvalidInputError(
+                f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]"
+            )
     for name, joint in joints.items():
         kind = "mimic" if joint.find("mimic") is not None else joint.get("type")
         if kind not in ("fixed", "revolute", "prismatic") and name not in locked:
@@ -177,7 +195,12 @@ def _replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
         if isinstance(shape, coal.BVHModelBase):
             if shape.num_vertices == 0:
                 raise InvalidInputError(f"collision mesh {item.meshPath or item.name} is empty")
-            shape.buildConvexHull(True, "Qt")
+            try:
+                shape.buildConvexHull(True, "Qt")
+            except (ValueError, RuntimeError) as error:
+                raise InvalidInputError(
+                    f"collision mesh {item.meshPath or item.name} has no volume: its convex hull is flat"
+                ) from error
             item.geometry = shape.convex
 
 
@@ -219,6 +242,10 @@ def _self_collision_pairs(model: pin.Model, geometry: pin.GeometryModel, srdf: P
     geometry.addAllCollisionPairs()
     overlaps: list[tuple[str, str]] = []
     if srdf is not None:
+        if not Path(srdf).is_file():
+            raise InvalidInputError(
+                f"SRDF file {srdf} does not exist; leave it out to skip neighbours and overlaps"
+            )
         pin.removeCollisionPairs(model, geometry, str(srdf), False)
     else:
         _skip_neighbours(model, geometry)

@@ -21,6 +21,18 @@ class Attachment:
     shape: Shape
     T_hand_object: np.ndarray
 
+    def __post_init__(self) -> None:
+        T = np.array(self.T_hand_object, dtype=float)
+        rigid = T.shape == (4, 4) and np.isfinite(T).all()
+        if not (rigid and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6)):
+            raise InvalidInputError(
+                f"attachment {self.name!r}: T_hand_object is not a finite rigid pose (4, 4)"
+            )
+        if not isinstance(self.name, str):
+            raise InvalidInputError(f"attachment field 'name' must be a string, not {self.name!r}")
+        T.setflags(write=False)
+        object.__setattr__(self, "T_hand_object", T)
+
     def to_dict(self) -> dict:
         """Plain json form."""
         return {

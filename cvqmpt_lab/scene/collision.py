@@ -15,6 +15,8 @@ from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, bounding_radius
 
+MOST_BALLS = 5000  # clouds of more points are checked as octrees, whose cells are only roughly the balls
+
 
 @dataclass(frozen=True)
 class CollidingPair:
@@ -47,6 +49,9 @@ class CollisionChecker:
         self._geometry_data = pin.GeometryData(self._geometry)
         for request in self._geometry_data.collisionRequests:
             request.security_margin = margin
+            request.enable_contact = (
+                True  # without, coal calls some pairs free that overlap by half a millimetre
+            )
         self._manager = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
             self._model, self._geometry, self._geometry_data
         )
@@ -105,9 +110,10 @@ def _paired_geometry(robot: Robot, scene: Scene, attachments: Sequence[Attachmen
     obstacles = []
     for obstacle in scene.objects:
         if obstacle.obstacle and _within_reach(obstacle, robot, attachments):
-            placement = pin.SE3(obstacle.T_world_object)
-            piece = pin.GeometryObject(obstacle.name, 0, placement, coal_shape(obstacle.shape))
-            obstacles.append(geometry.addGeometryObject(piece))
+            for shape, T_world_shape in _pieces(obstacle):
+                name = obstacle.name if shape is obstacle.shape else f"{obstacle.name}/{len(obstacles)}"
+                piece = pin.GeometryObject(name, 0, pin.SE3(T_world_shape), coal_shape(shape))
+                obstacles.append(geometry.addGeometryObject(piece))
     moving = [i for i in range(n_links) if geometry.geometryObjects[i].parentJoint != 0]
     for k in obstacles:
         for i in (*moving, *carried):
@@ -117,6 +123,18 @@ def _paired_geometry(robot: Robot, scene: Scene, attachments: Sequence[Attachmen
             if not _near_in_tree(robot, geometry.geometryObjects[i].parentJoint, hand.parentJoint):
                 geometry.addCollisionPair(pin.CollisionPair(i, k))
     return geometry
+
+
+def _pieces(item: SceneObject) -> list[tuple[Shape, np.ndarray]]:
+    """The object itself, or the balls of a small point cloud; a large cloud stays one octree."""
+    if not isinstance(item.shape, PointCloud) or len(item.shape.points) > MOST_BALLS:
+        return [(item.shape, item.T_world_object)]
+    balls: list[tuple[Shape, np.ndarray]] = []
+    for point in item.shape.points:
+        T_object_ball = np.eye(4)
+        T_object_ball[:3, 3] = point
+        balls.append((Sphere(item.shape.radius), item.T_world_object @ T_object_ball))
+    return balls
 
 
 def _within_reach(item: SceneObject, robot: Robot, attachments: Sequence[Attachment]) -> bool:

@@ -1,0 +1,123 @@
+"""The certificate: it accepts a planned path and rejects every kind of broken one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.evaluation.certificate import LARGEST_STEP, TOLERANCE, certify
+from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Sphere
+
+
+@pytest.fixture
+def states(solution):
+    return solution.simplified.path.states.copy()
+
+
+def reasons(problem, states, **options):
+    return certify(problem, Path(states), clearance=False, **options).reasons
+
+
+def test_a_planned_path_is_accepted(problem, solution, states):
+    certificate = certify(problem, Path(states))
+    assert certificate.valid and certificate.reasons == ()
+    assert 0.0 <= certificate.max_violation_rad <= TOLERANCE and certificate.max_violation_m == 0.0
+    assert certificate.min_clearance_m > 0.0
+    assert certificate.states_checked >= solution.simplified.path.length / 0.01
+    assert np.isnan(certify(problem, Path(states), clearance=False).min_clearance_m)
+
+
+def test_a_finer_look_agrees(problem, states):
+    assert reasons(problem, states, resolution=0.002) == ()
+
+
+def test_an_obstacle_on_the_way_is_named(problem, states):
+    middle = problem.robot.pose(states[len(states) // 2])
+    ball = SceneObject("ball", Sphere(0.02), middle)
+    blocked = replace(problem, scene=problem.scene.with_objects(ball))
+    assert [r for r in reasons(blocked, states) if r.startswith("in collision: panda_") and "ball" in r]
+    assert certify(blocked, Path(states[:2])).min_clearance_m > 0.0
+
+
+def test_a_collision_between_the_states_is_found(problem, states):
+    """A ball touched only in the middle of a segment 0.1 rad long."""
+    a, robot = states[0], problem.robot
+    b = a + 0.1 * np.eye(7)[0]
+    ball = SceneObject("ball", Sphere(1e-3), np.eye(4))
+    T = robot.pose(0.5 * (a + b), "panda_leftfinger")
+    T[:3, 3] += 0.05 * T[:3, 2]
+    thin = replace(problem, scene=problem.scene.with_objects(replace(ball, T_world_object=T)))
+    checker = thin.collision_checker()
+    assert checker.in_collision(0.5 * (a + b)) and not checker.in_collision(a) and not checker.in_collision(b)
+    assert any("ball" in reason for reason in reasons(thin, np.array([a, b])))
+
+
+def test_leaving_the_manifold_is_measured(problem, states):
+    states[len(states) // 2, 6] += 0.05
+    far = states.copy()
+    far[len(states) // 2 + 1 : len(states) // 2 + 3, 6] += 0.08
+    for path in (far,):
+        certificate = certify(problem, Path(path), clearance=False)
+        assert certificate.max_violation_rad > TOLERANCE
+        assert any(reason.startswith("off the manifold by") for reason in certificate.reasons)
+
+
+def test_the_measured_violation_is_the_residual(problem, states):
+    off = problem.robot.random_configurations(np.random.default_rng(0), 30)
+    for q in off:
+        certificate = certify(problem, Path(np.array([q])), clearance=False)
+        expected = np.abs(problem.manifold.residual(q)).max()
+        assert certificate.max_violation_rad == pytest.approx(expected, abs=1e-9)
+
+
+def test_leaving_the_limits_is_named(problem, states):
+    worst = states.copy()
+    worst[5, 3] = problem.robot.upper[3] + 0.01
+    assert "panda_joint4 leaves its limits by 0.01" in reasons(problem, worst)
+    worst[5, 3] = problem.robot.lower[3] - 0.02
+    assert "panda_joint4 leaves its limits by 0.02" in reasons(problem, worst)
+
+
+def test_wrong_ends_are_named(problem, states):
+    assert reasons(problem, states[1:]) == ("does not begin at the start",)
+    assert reasons(problem, states[:-3]) == ("does not end at a goal",)
+    assert reasons(problem, states[::-1]) == ("does not begin at the start", "does not end at a goal")
+
+
+def test_any_goal_will_do_and_so_will_the_goal_region(problem, states):
+    others = problem.goals[np.abs(problem.goals - states[-1]).max(axis=1) > 0.0]
+    assert len(others) == len(problem.goals) - 1
+    assert reasons(problem.with_goals(others), states) == ()  # the end lies in the region
+    elsewhere = replace(problem, goals=others, goal_region=None)
+    assert reasons(elsewhere, states) == ("does not end at a goal",)
+
+
+@pytest.mark.parametrize("size", [0.5, LARGEST_STEP + 0.001])
+def test_a_jump_is_named(problem, size):
+    jump = np.array([problem.start, problem.start + size * np.eye(7)[0]])
+    assert f"a step of {size:.3f} rad" in reasons(problem, jump)
+
+
+def test_dropped_states_are_a_jump(problem, states):
+    assert any(r.startswith("a step of") for r in reasons(problem, np.delete(states, range(10, 40), axis=0)))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_states_that_are_not_finite_are_rejected(problem, states, bad):
+    states[3, 2] = bad
+    certificate = certify(problem, Path(states))
+    assert not certificate.valid and certificate.reasons == ("a state is not finite",)
+
+
+@pytest.mark.parametrize("shape", [(0, 7), (3, 6), (7,)])
+def test_paths_of_another_shape_are_rejected(problem, shape):
+    assert not certify(problem, Path(np.zeros(shape))).valid
+
+
+def test_all_reasons_are_given(problem):
+    wild = np.array([problem.robot.upper + 0.5, problem.robot.lower - 0.5])
+    found = " | ".join(reasons(problem, wild))
+    for part in ("begin", "end at a goal", "step of", "limits", "manifold", "collision"):
+        assert part in found
