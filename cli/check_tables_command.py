@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from cli.options import ProgressBar
+from cli.options import ProgressBar, writable_file
 from experiments.regression import EXPECTED, Expectations, compare, made_with, measure
 from paper_tables.committed import RESULTS, committed_directories, differing_cells
 
@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare, or update; exit code 1 when something differs."""
     expected = None if args.update else Expectations.load(args.expected)
+    writable_file(args.expected)
     began = time.perf_counter()
     bar = ProgressBar("check-tables")
     outcomes = measure(on_progress=bar)

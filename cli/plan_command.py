@@ -52,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     for path in (args.save, args.save_path):
         if path is not None:
             writable_file(path)
+    if args.seed < 0:
+        raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
     planner = planner_named(args.planner)
     problem = _problem(args)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))

@@ -55,9 +55,10 @@ def certify(
 ) -> Certificate:
     """Check a path at `resolution` [rad]: collision, limits, constraint, step size, start and goal."""
     checker = checker or problem.collision_checker()
+    unusable = _unusable(problem, path.states)
+    if unusable:
+        return Certificate((unusable,), np.nan, np.nan, np.nan, 0)
     states = _resampled(path.states, resolution)
-    if not np.isfinite(states).all():
-        return Certificate(("a state is not finite",), np.nan, np.nan, np.nan, len(states))
     poses = np.array([problem.robot.pose(q) for q in states])
     radians, metres = _violations(problem.constraint, poses)
     reasons = [*_end_reasons(problem, path), *_motion_reasons(problem, path, states)]
@@ -71,6 +72,13 @@ def certify(
         picks = np.unique(np.linspace(0, len(states) - 1, CLEARANCE_STATES).astype(int))
         closest = min(checker.clearance(states[i]) for i in picks)
     return Certificate(tuple(reasons), radians, metres, closest, len(states))
+
+
+def _unusable(problem: PlanningProblem, states: np.ndarray) -> str | None:
+    """Why states are no path at all, or None."""
+    if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
+        return f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
+    return None if np.isfinite(states).all() else "a state is not finite"
 
 
 def _resampled(states: np.ndarray, resolution: float) -> np.ndarray:

@@ -23,7 +23,7 @@ class SimplifySettings:
     gain: float = 0.002
 
     def __post_init__(self) -> None:
-        if self.attempts < 0 or self.seconds <= 0 or self.patience < 1:
+        if self.attempts < 0 or not self.seconds > 0 or self.patience < 1:
             raise InvalidInputError(f"simplification bounds must be positive: {self}")
 
 
