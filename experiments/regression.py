@@ -143,7 +143,7 @@ def run_case(case: Case) -> Outcome:
 
 
 def measure(
-    cases: Sequence[Case] = CASES, on_progress: Callable[[int, int, str], None] | None = None
+    cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None
 ) -> tuple[Outcome, ...]:
     """Run the cases one by one; on_progress is called with (done, total, last case)."""
     outcomes = []

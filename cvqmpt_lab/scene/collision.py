@@ -107,7 +107,7 @@ def _paired_geometry(robot: Robot, scene: Scene, attachments: Sequence[Attachmen
         carried.append(
             geometry.addGeometryObject(pin.GeometryObject(item.name, hand.parentJoint, placement, shape))
         )
-    obstacles = []
+    obstacles: list[int] = []
     for obstacle in scene.objects:
         if obstacle.obstacle and _within_reach(obstacle, robot, attachments):
             for shape, T_world_shape in _pieces(obstacle):
