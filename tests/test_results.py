@@ -338,7 +338,7 @@ def test_provenance_names_versions_machine_and_seeds():
     assert json.loads(json.dumps(record)) == record
     assert record["seeds"] == [0, 1, 2] and record["calibration_ns"] == 1.5 and record["model_hash"] == "abc"
     assert record["versions"]["numpy"] == np.__version__
-    assert {"pin", "coal", "ompl", "numba", "torch", "frankik", "rerun-sdk"} < set(record["versions"])
+    assert {"pin", "coal", "ompl", "numba", "torch", "rerun-sdk"} < set(record["versions"])
     assert record["cpu_count"] >= 1 and record["date_utc"].endswith("+00:00")
 
 

@@ -21,7 +21,6 @@ _PACKAGES = (
     "coal",
     "cvqmpt-lab",
     "example-robot-data",
-    "frankik",
     "numba",
     "numpy",
     "ompl",
