@@ -59,6 +59,8 @@ def writable_file(path: Path) -> Path:
     """The path, after checking that a file can be made there."""
     if not path.parent.is_dir():
         raise InvalidInputError(f"cannot write {path}: folder {path.parent} does not exist; make it first")
+    if path.is_dir():
+        raise InvalidInputError(f"cannot write {path}: it is a folder; name a file in it")
     return path
 
 

@@ -61,6 +61,10 @@ class GaussianMixture:
             raise InvalidInputError(
                 f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}"
             )
+        if not np.isfinite(self.means).all():
+            raise InvalidInputError("mixture means must be finite")
+        if not np.isfinite(self.covariances).all() or (np.linalg.eigvalsh(self.covariances) <= 0).any():
+            raise InvalidInputError("mixture covariances must be positive definite")
         if not 0.0 <= self.uniform_share <= 1.0 or (self.uniform_share > 0 and self.uniform is None):
             raise InvalidInputError(
                 f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution"

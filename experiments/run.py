@@ -1,9 +1,11 @@
 """Running planners over a suite: in parallel processes, resumable, every outcome a row."""
 
 import csv
+import ctypes
 import io
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -11,17 +13,20 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.evaluation.metrics import result_row
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.evaluation.results import ResultRow, RunKey, RunStore
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.space import BACKENDS
 from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import UnsolvableProblem
 from experiments.suites import suite_named
 from experiments.warmup import compile_kernels
+
+PR_SET_PDEATHSIG = 1  # Linux: a worker ends with its parent, however that ends
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,8 @@ class Experiment:
                 suite.problem(index)
         for name in self.planners:
             planner_named(name)
+        if self.backend not in BACKENDS:
+            raise UnknownChoiceError("backend", self.backend, BACKENDS)
         for what in ("problems", "planners", "seeds"):
             if not getattr(self, what):
                 raise InvalidInputError(f"an experiment needs at least one of {what}")
@@ -91,6 +98,8 @@ def run_task(task: Task) -> ResultRow | UnsolvableProblem:
 
 def _warm_up(suite: str, problem: int, backend: str, planners: tuple[str, ...]) -> None:
     """Load compiled code and planner libraries in a fresh worker, so that no row pays for it."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     compile_kernels(lambda _: None)
     for planner in planners:
         run_task(Task(suite, problem, planner, 0, Budget(seconds=5.0, iterations=1), backend))

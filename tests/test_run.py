@@ -211,7 +211,6 @@ def test_an_interrupt_leaves_a_run_that_the_same_command_continues(tmp_path, sta
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="the pool's workers wait for tasks forever once their parent is gone")
 def test_an_interrupted_run_leaves_no_worker_behind(started):
     os.kill(started.pid, signal.SIGINT)
     assert started.wait(timeout=30) == 130

@@ -96,9 +96,13 @@ class TaskSpaceRegion:
     def from_dict(data: dict) -> "TaskSpaceRegion":
         """Inverse of to_dict; names the missing or malformed field."""
         try:
+            rows = data["Bw"]
+            if not isinstance(rows, list):
+                raise InvalidInputError(
+                    f"task-space region field 'Bw' is malformed: {rows!r} is no list of 6 pairs"
+                )
             bounds = [
-                [s * np.inf if b is None else b for b, s in zip(row, (-1, 1), strict=True)]
-                for row in data["Bw"]
+                [s * np.inf if b is None else b for b, s in zip(row, (-1, 1), strict=True)] for row in rows
             ]
             return TaskSpaceRegion(
                 np.array(data["T0_w"], float), np.array(data["Tw_e"], float), np.array(bounds, float)
