@@ -87,7 +87,12 @@ def test_an_old_python_is_refused_in_one_line(tmp_path):
     old.chmod(0o755)
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         (tmp_path / name).write_text((ROOT / name).read_text())
-    done = subprocess.run(["make", "venv", f"PYTHON={old}"], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        ["make", "--no-print-directory", "venv", f"PYTHON={old}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode != 0 and not (tmp_path / ".venv").exists()
     assert (
         done.stdout.splitlines()[-1] == "Python 3.11 or newer is needed: make venv PYTHON=/path/to/python3.11"

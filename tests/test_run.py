@@ -185,6 +185,8 @@ def started(tmp_path):
             stderr=errors,
             stdout=subprocess.DEVNULL,
             start_new_session=True,
+            # A shell in the background makes its children deaf to Ctrl-C: a person's terminal does not.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
     try:
         wait_for_rows(process, tmp_path / "out", 2)
