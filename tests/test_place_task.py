@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
@@ -76,7 +75,7 @@ def test_problems_are_sound(with_can):
     check_problem(problem)
     assert len(problem.attachments) == with_can and problem.name == "0"
     assert len(problem.goals) == GOALS
-    roomy = problem.collision_checker(0.9 * SAMPLE_MARGIN)
+    roomy = problem.collision_checker(0.0009)  # sampled with 1 mm
     for q, com in [(problem.start, can_com(0)), *((q, SHELF_COM) for q in problem.goals)]:
         T = problem.robot.pose(q)
         np.testing.assert_allclose(T[:3, 3] + 0.11 * T[:3, 2], np.add(com, (0.0, 0.0, 0.05)), atol=1e-5)
