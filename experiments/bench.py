@@ -8,8 +8,8 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, RegionConstraint, upright
 from cvqmpt_lab.distributions import Uniform
-from cvqmpt_lab.kernels.collision import scene_geometry
 from cvqmpt_lab.kernels.compiling import driver
+from cvqmpt_lab.kernels.geometry import scene_geometry
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.projection import project_batch, projection_scratch
 from cvqmpt_lab.kernels.space import Space, state_valid

@@ -1,193 +1,45 @@
 """Whether a posed robot touches an obstacle or itself: conservative by construction.
 
-Broad phase: the ball around a link piece, then the small balls that cover it, are cleared by one look-up
-each in a distance grid. What is not cleared is settled between the convex hull and each nearby obstacle
-by `separation.separated`, which says "free" only on the evidence of a separating slab.
+The balls of each body are walked from large to small; a look-up in the distance grid clears a ball and all
+below it. What is left at the leaves is settled between a convex piece and each nearby obstacle by
+`separation.separated`, which says "free" only on the evidence of a separating slab. Poses that are not
+finite count as collisions.
 """
-
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.compiling import inlined, kernel
-from cvqmpt_lab.kernels.distance_grid import (
-    DistanceGrid,
-    Obstacles,
-    clear_of_obstacles,
-    distance_grid,
-    point_distance,
-)
-from cvqmpt_lab.kernels.hull_cover import cover_by_balls, enclosing_ball
-from cvqmpt_lab.kernels.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes, separated
-from cvqmpt_lab.kernels.shapes import ShapeSpec, corners, pack_shapes
+from cvqmpt_lab.kernels.distance_grid import cell_of, known_distance
+from cvqmpt_lab.kernels.separation import compose, point_separated, separated
 
-CELL = 0.04  # [m] of the distance grid
-FREE = -1  # stands for no obstacle index
+FREE = -1
 
 
-class RobotGeometry(NamedTuple):
-    """Convex pieces of a robot, its attachments included, sorted by link.
-
-    Attributes
-    ----------
-    shapes: g pieces in their link frames. link: (g,) pose row of each.
-    centre, radius: (g, 3), (g,) ball around each piece. ball_start: (g + 1,) its covering balls in
-    ball_centre (b, 3), ball_radius (b,).
-    link_centre, link_radius: (n + 1, 3), (n + 1,) ball around all pieces of a link.
-    link_start: (n + 2,) first piece of each link; pieces of link 0 (the world) never meet obstacles.
-    groups: (m, 4) link, other link, first and one-past-last row of `pairs` between them.
-    pairs: (k, 2) pieces to check against each other. placed: (n + 1, 3) work array.
-    """
-
-    shapes: ConvexShapes
-    link: np.ndarray
-    centre: np.ndarray
-    radius: np.ndarray
-    ball_start: np.ndarray
-    ball_centre: np.ndarray
-    ball_radius: np.ndarray
-    link_centre: np.ndarray
-    link_radius: np.ndarray
-    link_start: np.ndarray
-    groups: np.ndarray
-    pairs: np.ndarray
-    placed: np.ndarray
-
-
-class SceneGeometry(NamedTuple):
-    """Obstacles, their bounds and grid; `seen` (n,) and `stamp` (1,) spare a pair a second test."""
-
-    shapes: ConvexShapes
-    bounds: Obstacles
-    grid: DistanceGrid
-    seen: np.ndarray
-    stamp: np.ndarray
-
-
-def robot_geometry(
-    specs: Sequence[ShapeSpec], link: Sequence[int], pairs: Sequence[tuple[int, int]], n_links: int
-) -> RobotGeometry:
-    """Pieces of a robot with their covers.
-
-    link: pose row of each piece, below n_links. pairs: indices into specs to check against each other.
-    """
-    order = np.argsort(link, kind="stable")
-    specs = [specs[i] for i in order]
-    rows = np.array(link, dtype=np.int64)[order]
-    place = np.argsort(order)  # new position of each piece
-    balls = [cover_by_balls(corners(spec)) for spec in specs]
-    bounds = [enclosing_ball(corners(spec)) for spec in specs]
-    link_centre, link_radius = np.zeros((n_links, 3)), np.full(n_links, -1.0)
-    for row in set(rows.tolist()):
-        points = np.concatenate([corners(spec) for spec, own in zip(specs, rows, strict=True) if own == row])
-        link_centre[row], link_radius[row] = enclosing_ball(points)
-    sorted_pairs, groups = _grouped([(int(place[i]), int(place[j])) for i, j in pairs], rows)
-    return RobotGeometry(
-        shapes=pack_shapes(specs),
-        link=rows,
-        centre=np.array([centre for centre, _ in bounds]).reshape(-1, 3),
-        radius=np.array([radius for _, radius in bounds]),
-        ball_start=np.concatenate([[0], np.cumsum([len(radii) for _, radii in balls])]).astype(np.int64),
-        ball_centre=np.concatenate([np.empty((0, 3)), *(centres for centres, _ in balls)]),
-        ball_radius=np.concatenate([np.empty(0), *(radii for _, radii in balls)]),
-        link_centre=link_centre,
-        link_radius=link_radius,
-        link_start=np.searchsorted(rows, np.arange(n_links + 1)).astype(np.int64),
-        groups=groups,
-        pairs=sorted_pairs,
-        placed=np.zeros((n_links, 3)),
-    )
-
-
-def _grouped(pairs: list[tuple[int, int]], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs sorted by the two links they join, tip first, and one group row per pair of links."""
-    ordered = sorted(((min(pair), max(pair)) for pair in pairs), reverse=True)
-    by_links = sorted(ordered, key=lambda pair: (-rows[pair[1]], rows[pair[0]]))
-    groups: list[list[int]] = []
-    for k, (a, b) in enumerate(by_links):
-        links = [int(rows[a]), int(rows[b])]
-        if not groups or groups[-1][:2] != links:
-            groups.append([*links, k, k])
-        groups[-1][3] = k + 1
+@inlined
+def _placed(r, t, link, sphere, k):
+    """World position of the centre of ball k."""
+    x, y, z = sphere[k, 0], sphere[k, 1], sphere[k, 2]
     return (
-        np.array(by_links, dtype=np.int64).reshape(-1, 2),
-        np.array(groups, dtype=np.int64).reshape(-1, 4),
-    )
-
-
-def scene_geometry(
-    specs: Sequence[ShapeSpec], lower: np.ndarray, upper: np.ndarray, cell: float = CELL
-) -> SceneGeometry:
-    """Obstacles (poses in the world) with a grid over the box lower..upper (3,) [m]."""
-    if any(not np.isfinite(spec.T_owner_shape).all() for spec in specs):
-        raise InvalidInputError("an obstacle's pose is not finite")
-    shapes = pack_shapes(specs)
-    bounds = _bounds(specs)
-    n = len(specs)
-    grid = distance_grid(bounds, lower, upper, cell)
-    return SceneGeometry(shapes, bounds, grid, np.zeros(n, dtype=np.int64), np.zeros(1, dtype=np.int64))
-
-
-def _bounds(specs: Sequence[ShapeSpec]) -> Obstacles:
-    """Oriented boxes around shapes; spheres become swelled points."""
-    rotation, translation, half, radius, lower, upper = [], [], [], [], [], []
-    for spec in specs:
-        T, swelling = spec.T_owner_shape, spec.size[0] if spec.kind == SPHERE else 0.0
-        if spec.kind == HULL:
-            low, high = spec.vertices.min(axis=0), spec.vertices.max(axis=0)
-            middle, extent = 0.5 * (low + high), 0.5 * (high - low)
-        else:
-            middle = np.zeros(3)
-            extent = {
-                BOX: lambda size: 0.5 * np.array(size),
-                CYLINDER: lambda size: np.array([size[0], size[0], 0.5 * size[2]]),
-                SPHERE: lambda _: np.zeros(3),
-            }[spec.kind](spec.size)
-        rotation.append(T[:3, :3])
-        translation.append(T[:3, :3] @ middle + T[:3, 3])
-        half.append(extent)
-        radius.append(swelling)
-        reach = np.abs(T[:3, :3]) @ extent + swelling
-        lower.append(translation[-1] - reach)
-        upper.append(translation[-1] + reach)
-    n = len(specs)
-    return Obstacles(
-        np.array(rotation).reshape(n, 3, 3),
-        np.array(translation).reshape(n, 3),
-        np.array(half).reshape(n, 3),
-        np.array(radius).reshape(n),
-        np.array(lower).reshape(n, 3),
-        np.array(upper).reshape(n, 3),
+        r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0],
+        r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1],
+        r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2],
     )
 
 
 @inlined
-def _placed(link_rotation, link_translation, link, point, k):
-    """World coordinates of row k of point (m, 3), given in a link's frame."""
-    x, y, z = point[k, 0], point[k, 1], point[k, 2]
+def _moved(pose, x, y, z):
+    """A point seen through a pose (12-tuple)."""
     return (
-        link_rotation[link, 0, 0] * x
-        + link_rotation[link, 0, 1] * y
-        + link_rotation[link, 0, 2] * z
-        + link_translation[link, 0],
-        link_rotation[link, 1, 0] * x
-        + link_rotation[link, 1, 1] * y
-        + link_rotation[link, 1, 2] * z
-        + link_translation[link, 1],
-        link_rotation[link, 2, 0] * x
-        + link_rotation[link, 2, 1] * y
-        + link_rotation[link, 2, 2] * z
-        + link_translation[link, 2],
+        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
+        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
+        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
     )
 
 
 @inlined
-def _world_in_link(link_rotation, link_translation, link):
+def _world_in_link(r, t, link):
     """Pose of the world in a link's frame: 9 rotation entries by rows, then 3 of translation."""
-    r = link_rotation
-    x, y, z = link_translation[link, 0], link_translation[link, 1], link_translation[link, 2]
+    x, y, z = t[link, 0], t[link, 1], t[link, 2]
     return (
         r[link, 0, 0],
         r[link, 1, 0],
@@ -205,156 +57,175 @@ def _world_in_link(link_rotation, link_translation, link):
 
 
 @inlined
-def _hits_obstacle(link_rotation, link_translation, robot, scene, piece, i, margin):
-    """Whether no separating slab was found between a piece and obstacle i."""
-    link = robot.link[piece]
-    pose = _world_in_link(link_rotation, link_translation, link)
-    x, y, z = scene.bounds.translation[i, 0], scene.bounds.translation[i, 1], scene.bounds.translation[i, 2]
-    axis = (
-        robot.centre[piece, 0] - (pose[0] * x + pose[1] * y + pose[2] * z + pose[9]),
-        robot.centre[piece, 1] - (pose[3] * x + pose[4] * y + pose[5] * z + pose[10]),
-        robot.centre[piece, 2] - (pose[6] * x + pose[7] * y + pose[8] * z + pose[11]),
+def _way_out(bounds, i, x, y, z):
+    """World vector from the nearest point of item i's box to a point [m]; zero inside."""
+    dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
+    a = bounds[i, 0] * dx + bounds[i, 3] * dy + bounds[i, 6] * dz
+    b = bounds[i, 1] * dx + bounds[i, 4] * dy + bounds[i, 7] * dz
+    c = bounds[i, 2] * dx + bounds[i, 5] * dy + bounds[i, 8] * dz
+    a -= min(max(a, -bounds[i, 12]), bounds[i, 12])
+    b -= min(max(b, -bounds[i, 13]), bounds[i, 13])
+    c -= min(max(c, -bounds[i, 14]), bounds[i, 14])
+    return (
+        bounds[i, 0] * a + bounds[i, 1] * b + bounds[i, 2] * c,
+        bounds[i, 3] * a + bounds[i, 4] * b + bounds[i, 5] * c,
+        bounds[i, 6] * a + bounds[i, 7] * b + bounds[i, 8] * c,
     )
-    return not separated(robot.shapes, piece, scene.shapes, i, pose, axis, margin)
+
+
+@kernel
+def _touches_points(pieces, piece, points, first, last, radius, pose, centre, reach, margin):
+    """Whether a piece comes within margin of a ball around one of points[first:last]; pose: world in link."""
+    for k in range(first, last):
+        p = _moved(pose, points[k, 0], points[k, 1], points[k, 2])
+        axis = (centre[0] - p[0], centre[1] - p[1], centre[2] - p[2])
+        if axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] > (reach + radius) * (reach + radius):
+            continue
+        if not point_separated(pieces, piece, p, radius, axis, margin):
+            return True
+    return False
 
 
 @inlined
-def _ball_hit(link_rotation, link_translation, robot, scene, piece, ball, x, y, z, block, margin):
-    """Obstacle that a piece touches near one of its covering balls, or FREE."""
-    reach = robot.ball_radius[ball] + margin
-    if block < 0:  # outside the grid: every obstacle is a candidate
-        first, last = 0, scene.seen.shape[0]
-    else:
-        first, last = scene.grid.block_start[block], scene.grid.block_start[block + 1]
-    for k in range(first, last):
-        i = k if block < 0 else scene.grid.block_items[k]
-        if scene.seen[i] == scene.stamp[0] or point_distance(scene.bounds, i, x, y, z) > reach:
+def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin):
+    """First item within margin of the piece in leaf node, whose ball is centred on x, y, z; or FREE."""
+    piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
+    listed = inside and reach <= scene.reach
+    first, count = 0, scene.bounds.shape[0]
+    if listed:
+        first, count = (
+            scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1],
+            scene.grid.list_count[ix >> 1, iy >> 1, iz >> 1],
+        )
+    pose = _world_in_link(r, t, link)
+    for k in range(first, first + count):
+        i = np.int64(scene.grid.items[k]) if listed else np.int64(k)
+        ax, ay, az = _way_out(scene.bounds, i, x, y, z)
+        distance2, limit = ax * ax + ay * ay + az * az, reach + scene.bounds[i, 15]
+        if distance2 > limit * limit:
             continue
-        scene.seen[i] = scene.stamp[0]
-        if _hits_obstacle(link_rotation, link_translation, robot, scene, piece, i, margin):
+        if not distance2 > 0.0:
+            ax, ay, az = x - scene.bounds[i, 9], y - scene.bounds[i, 10], z - scene.bounds[i, 11]
+        axis = (
+            pose[0] * ax + pose[1] * ay + pose[2] * az,
+            pose[3] * ax + pose[4] * ay + pose[5] * az,
+            pose[6] * ax + pose[7] * ay + pose[8] * az,
+        )
+        if separated(robot.pieces, piece, scene.shapes, i, pose, axis, margin):
+            continue
+        a, b = scene.point_start[i], scene.point_start[i + 1]
+        centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+        if a == b or _touches_points(
+            robot.pieces, piece, scene.points, a, b, scene.bounds[i, 15], pose, centre, reach, margin
+        ):
             return i
     return FREE
 
 
 @inlined
-def piece_hit(link_rotation, link_translation, robot, scene, piece, margin):
-    """First obstacle found within margin [m] of a piece, or FREE."""
-    link = robot.link[piece]
-    x, y, z = _placed(link_rotation, link_translation, link, robot.centre, piece)
-    clear, _ = clear_of_obstacles(scene.grid, x, y, z, robot.radius[piece] + margin)
-    if clear:
-        return FREE
-    scene.stamp[0] += 1
-    for ball in range(robot.ball_start[piece], robot.ball_start[piece + 1]):
-        x, y, z = _placed(link_rotation, link_translation, link, robot.ball_centre, ball)
-        clear, block = clear_of_obstacles(scene.grid, x, y, z, robot.ball_radius[ball] + margin)
-        if not clear:
-            hit = _ball_hit(
-                link_rotation, link_translation, robot, scene, piece, ball, x, y, z, block, margin
-            )
-            if hit != FREE:
-                return hit
+def _obstacle_contact(r, t, robot, scene, body, margin):
+    """(geometry, obstacle) of the first contact of a body, or (FREE, FREE)."""
+    link = robot.body_link[body]
+    node, end = robot.body_start[body], robot.body_end[body]
+    while node < end:
+        x, y, z = _placed(r, t, link, robot.sphere, node)
+        ix, iy, iz, inside = cell_of(scene.grid, x, y, z)
+        if inside:
+            if known_distance(scene.grid, ix, iy, iz) > robot.sphere[node, 3] + margin:
+                node = robot.skip[node]
+                continue
+        elif not abs(x) + abs(y) + abs(z) < np.inf:
+            return -2, FREE
+        if robot.leaf[node] >= 0:
+            item = _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin)
+            if item != FREE:
+                return robot.owner[robot.leaf[node]], scene.owner[item]
+        node += 1
+    return FREE, FREE
+
+
+@inlined
+def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
+    """First piece of body other within margin of a piece with ball (x, y, z, radius), or FREE.
+
+    pose: of the other body's link in the frame of the piece's link.
+    """
+    node, end = robot.body_start[other], robot.body_end[other]
+    while node < end:
+        p = _moved(pose, robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2])
+        axis = (x - p[0], y - p[1], z - p[2])
+        limit = radius + robot.sphere[node, 3]
+        if axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] > limit * limit:
+            node = robot.skip[node]
+            continue
+        if robot.leaf[node] >= 0 and not separated(
+            robot.pieces, piece, robot.pieces, robot.leaf[node], pose, axis, margin
+        ):
+            return robot.leaf[node]
+        node += 1
     return FREE
 
 
 @inlined
-def _cover_near(robot, piece, point, radius):
-    """Whether a covering ball of a piece meets the ball around a point in its link's frame."""
-    for ball in range(robot.ball_start[piece], robot.ball_start[piece + 1]):
-        dx = robot.ball_centre[ball, 0] - point[0]
-        dy = robot.ball_centre[ball, 1] - point[1]
-        dz = robot.ball_centre[ball, 2] - point[2]
-        reach = robot.ball_radius[ball] + radius
-        if dx * dx + dy * dy + dz * dz <= reach * reach:
-            return True
-    return False
+def _body_contact(r, t, robot, a, b, xa, ya, za, margin):
+    """Geometries of the first contact of two bodies, or (FREE, FREE).
 
-
-@inlined
-def _link_in_link(link_rotation, link_translation, a, b):
-    """Pose of link b in the frame of link a: 9 rotation entries by rows, then 3 of translation."""
-    w = _world_in_link(link_rotation, link_translation, a)
-    r, t = link_rotation, link_translation
-    return (
-        w[0] * r[b, 0, 0] + w[1] * r[b, 1, 0] + w[2] * r[b, 2, 0],
-        w[0] * r[b, 0, 1] + w[1] * r[b, 1, 1] + w[2] * r[b, 2, 1],
-        w[0] * r[b, 0, 2] + w[1] * r[b, 1, 2] + w[2] * r[b, 2, 2],
-        w[3] * r[b, 0, 0] + w[4] * r[b, 1, 0] + w[5] * r[b, 2, 0],
-        w[3] * r[b, 0, 1] + w[4] * r[b, 1, 1] + w[5] * r[b, 2, 1],
-        w[3] * r[b, 0, 2] + w[4] * r[b, 1, 2] + w[5] * r[b, 2, 2],
-        w[6] * r[b, 0, 0] + w[7] * r[b, 1, 0] + w[8] * r[b, 2, 0],
-        w[6] * r[b, 0, 1] + w[7] * r[b, 1, 1] + w[8] * r[b, 2, 1],
-        w[6] * r[b, 0, 2] + w[7] * r[b, 1, 2] + w[8] * r[b, 2, 2],
-        w[0] * t[b, 0] + w[1] * t[b, 1] + w[2] * t[b, 2] + w[9],
-        w[3] * t[b, 0] + w[4] * t[b, 1] + w[5] * t[b, 2] + w[10],
-        w[6] * t[b, 0] + w[7] * t[b, 1] + w[8] * t[b, 2] + w[11],
-    )
-
-
-@inlined
-def _pair_touches(robot, a, b, pose, margin):
-    """Whether no separating slab was found between two pieces; pose is b's link in a's link frame."""
-    x, y, z = robot.centre[b, 0], robot.centre[b, 1], robot.centre[b, 2]
-    centre = (
-        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
-        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
-        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
-    )
-    if not _cover_near(robot, a, centre, robot.radius[b] + margin):
-        return False
-    axis = (
-        robot.centre[a, 0] - centre[0],
-        robot.centre[a, 1] - centre[1],
-        robot.centre[a, 2] - centre[2],
-    )
-    return not separated(robot.shapes, a, robot.shapes, b, pose, axis, margin)
-
-
-@inlined
-def _link_hits_obstacle(link_rotation, link_translation, robot, scene, link, margin):
-    """Whether a piece of a link is within margin [m] of an obstacle."""
-    x, y, z = robot.placed[link, 0], robot.placed[link, 1], robot.placed[link, 2]
-    clear, _ = clear_of_obstacles(scene.grid, x, y, z, robot.link_radius[link] + margin)
-    if clear:
-        return False
-    for piece in range(robot.link_start[link], robot.link_start[link + 1]):
-        if piece_hit(link_rotation, link_translation, robot, scene, piece, margin) != FREE:
-            return True
-    return False
-
-
-@inlined
-def _group_touches(link_rotation, link_translation, robot, group, margin):
-    """Whether two links are within margin [m] of each other."""
-    a, b = robot.groups[group, 0], robot.groups[group, 1]
-    dx = robot.placed[a, 0] - robot.placed[b, 0]
-    dy = robot.placed[a, 1] - robot.placed[b, 1]
-    dz = robot.placed[a, 2] - robot.placed[b, 2]
-    reach = robot.link_radius[a] + robot.link_radius[b] + margin
-    if dx * dx + dy * dy + dz * dz > reach * reach:
-        return False
-    pose = _link_in_link(link_rotation, link_translation, a, b)
-    for k in range(robot.groups[group, 2], robot.groups[group, 3]):
-        if _pair_touches(robot, robot.pairs[k, 0], robot.pairs[k, 1], pose, margin):
-            return True
-    return False
+    xa, ya, za: where the largest ball of a is in the world.
+    """
+    la, lb = robot.body_link[a], robot.body_link[b]
+    node, end, root = robot.body_start[a], robot.body_end[a], robot.body_start[b]
+    xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
+    limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin
+    if (xa - xb) * (xa - xb) + (ya - yb) * (ya - yb) + (za - zb) * (za - zb) > limit * limit:
+        return FREE, FREE
+    world = _world_in_link(r, t, la)
+    pose = compose(r[lb], t[lb], world)
+    x, y, z = _moved(world, xb, yb, zb)
+    while node < end:
+        dx, dy, dz = robot.sphere[node, 0] - x, robot.sphere[node, 1] - y, robot.sphere[node, 2] - z
+        radius = robot.sphere[node, 3] + margin
+        limit = radius + robot.sphere[root, 3]
+        if dx * dx + dy * dy + dz * dz > limit * limit:
+            node = robot.skip[node]
+            continue
+        piece = robot.leaf[node]
+        if piece >= 0:
+            cx, cy, cz = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+            other = _leaf_contact(robot, piece, cx, cy, cz, radius, b, pose, margin)
+            if other != FREE:
+                return robot.owner[piece], robot.owner[other]
+        node += 1
+    return FREE, FREE
 
 
 @kernel
+def first_contact(link_rotation, link_translation, robot, scene, margin):
+    """Return the first contact found within margin [m]: which geometry touches what.
+
+    (geometry, obstacle); (geometry, -1 - other geometry); (-1, -1) when the state is free; (-2, -1) when a
+    link pose is not finite.
+    """
+    for k in range(robot.order.shape[0]):
+        geometry, obstacle = _obstacle_contact(
+            link_rotation, link_translation, robot, scene, robot.order[k], margin
+        )
+        if geometry != FREE:
+            return geometry, obstacle
+    placed = -1
+    x = y = z = 0.0
+    for k in range(robot.pairs.shape[0]):
+        a, b = robot.pairs[k, 0], robot.pairs[k, 1]
+        if a != placed:
+            placed, link = a, robot.body_link[a]
+            x, y, z = _placed(link_rotation, link_translation, link, robot.sphere, robot.body_start[a])
+        geometry, other = _body_contact(link_rotation, link_translation, robot, a, b, x, y, z, margin)
+        if geometry != FREE:
+            return geometry, -1 - other
+    return FREE, FREE
+
+
+@inlined
 def state_in_collision(link_rotation, link_translation, robot, scene, margin):
-    """Whether the robot with these link poses is within margin [m] of an obstacle or of itself."""
-    n_links = robot.link_radius.shape[0]
-    for link in range(n_links):
-        x, y, z = _placed(link_rotation, link_translation, link, robot.link_centre, link)
-        robot.placed[link, 0], robot.placed[link, 1], robot.placed[link, 2] = x, y, z
-        if not np.isfinite(x + y + z):
-            return True
-    for link in range(n_links - 1, 0, -1):
-        if robot.link_radius[link] >= 0.0 and _link_hits_obstacle(
-            link_rotation, link_translation, robot, scene, link, margin
-        ):
-            return True
-    for group in range(robot.groups.shape[0]):
-        if _group_touches(link_rotation, link_translation, robot, group, margin):
-            return True
-    return False
+    """Return whether the robot with these link poses is within margin [m] of an obstacle or of itself."""
+    geometry, _ = first_contact(link_rotation, link_translation, robot, scene, margin)
+    return geometry != FREE

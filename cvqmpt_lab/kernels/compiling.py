@@ -61,7 +61,9 @@ def _compiled(function: Callable | None = None, **options) -> Callable:
     before = config.CACHE_DIR
     config.CACHE_DIR = CACHE_FOLDER or before
     try:
-        return njit(cache=CACHE_FOLDER is not None, error_model="numpy", **options)(function)
+        return njit(cache=CACHE_FOLDER is not None, error_model="numpy", no_cfunc_wrapper=True, **options)(
+            function
+        )
     finally:
         config.CACHE_DIR = before
 

@@ -1,36 +1,26 @@
-"""A grid of distances to the nearest obstacle: one look-up clears a sphere, whatever the obstacle count.
+"""A grid of distances to the nearest obstacle: one look-up clears a ball, whatever the obstacle count.
 
-Space is cut into blocks of BLOCK^3 cells. Each block lists the obstacles within RANGE of it; each cell
-stores the distance of its centre to the nearest of them, at most RANGE. The distance of any other point
-of the cell is at least that minus the way to the centre.
+Each cell stores a lower bound of the distance from any of its points to any obstacle, cut off at RANGE and
+rounded down to a byte. Each block of 2^3 cells also lists the obstacles within REACH of it, for balls that
+the bound does not clear. Both are filled from coarse to fine: a block of 8^3 cells collects the obstacles
+that can matter inside it, and hands the shrinking list to its halves, quarters and cells.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined
+from cvqmpt_lab.kernels.compiling import driver, inlined, kernel
 
-BLOCK = 4  # cells along the edge of a block
-RANGE = 0.20  # [m] distances are cut off here
-MARGIN_FLOAT32 = 1e-6  # [m] more than float32 rounding of distances up to RANGE
+RANGE = 0.3  # [m] distances are cut off here
+REACH = 0.10  # [m] largest ball whose neighbours are listed
+COARSE = 8  # cells along the edge of the coarsest block
+_STEP = RANGE / 255.0  # [m] of a stored byte
+_ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
+_HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
 
-
-class Obstacles(NamedTuple):
-    """Bounds of n obstacles: oriented boxes swelled by a radius, exact for boxes and spheres.
-
-    Attributes
-    ----------
-    rotation (n, 3, 3), translation (n, 3): pose in the world. half: (n, 3) half edges [m].
-    radius: (n,) swelling [m]. lower, upper: (n, 3) axis-aligned bounds [m].
-    """
-
-    rotation: np.ndarray
-    translation: np.ndarray
-    half: np.ndarray
-    radius: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
+# Columns of an obstacle's bounds: an oriented box swelled by a radius.
+ROTATION, CENTRE, HALF, SWELLING, COLUMNS = 0, 9, 12, 15, 16
 
 
 class DistanceGrid(NamedTuple):
@@ -38,127 +28,192 @@ class DistanceGrid(NamedTuple):
 
     Attributes
     ----------
-    origin: (3,) corner of the grid [m]. cell: (1,) edge of a cell [m].
-    distance: (nx, ny, nz) float32. block_start: (bx * by * bz + 1,) int64. block_items: obstacle indices.
+    origin: (3,) corner of the grid [m]. cell: edge of a cell [m]. cells_per_metre: its inverse.
+    distance: (nx, ny, nz) uint8 in units of RANGE / 255.
+    list_start, list_count: (nx / 2, ny / 2, nz / 2) int64 and int32 into items (k,) int32: obstacle indices.
     """
 
     origin: np.ndarray
-    cell: np.ndarray
+    cell: float
+    cells_per_metre: float
     distance: np.ndarray
-    block_start: np.ndarray
-    block_items: np.ndarray
+    list_start: np.ndarray
+    list_count: np.ndarray
+    items: np.ndarray
 
 
 @inlined
-def point_distance(obstacles, i, x, y, z):
-    """Distance of a point to obstacle i's bounds [m], zero inside."""
-    dx = x - obstacles.translation[i, 0]
-    dy = y - obstacles.translation[i, 1]
-    dz = z - obstacles.translation[i, 2]
-    square = 0.0
-    for a in range(3):
-        along = (
-            obstacles.rotation[i, 0, a] * dx
-            + obstacles.rotation[i, 1, a] * dy
-            + obstacles.rotation[i, 2, a] * dz
-        )
-        outside = max(abs(along) - obstacles.half[i, a], 0.0)
-        square += outside * outside
-    return max(np.sqrt(square) - obstacles.radius[i], 0.0)
+def _distances(bounds, i, x, y, z, half):
+    """Distances of obstacle i from a cube (lower bound; exact for parallel axes) and from its centre [m]."""
+    dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
+    cube2 = centre2 = 0.0
+    if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:  # axis-aligned, the common case
+        a, b, c = abs(dx) - bounds[i, 12], abs(dy) - bounds[i, 13], abs(dz) - bounds[i, 14]
+        centre2 = max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2
+        cube2 = max(a - half, 0.0) ** 2 + max(b - half, 0.0) ** 2 + max(c - half, 0.0) ** 2
+    else:
+        for k in range(3):
+            rx, ry, rz = bounds[i, k], bounds[i, 3 + k], bounds[i, 6 + k]
+            outside = max(abs(rx * dx + ry * dy + rz * dz) - bounds[i, 12 + k], 0.0)
+            centre2 += outside * outside
+            outside = max(outside - half * (abs(rx) + abs(ry) + abs(rz)), 0.0)
+            cube2 += outside * outside
+    return max(np.sqrt(cube2) - bounds[i, 15], 0.0), np.sqrt(centre2) - bounds[i, 15]
 
 
-@inlined
-def _block_range(low, high, origin, edge, count):
-    """First and one-past-last block along one axis that [low, high] touches."""
-    first = int(np.floor((low - origin) / edge))
-    last = int(np.floor((high - origin) / edge)) + 1
-    return min(max(first, 0), count), min(max(last, 0), count)
+@kernel
+def _measure(bounds, candidates, n, x, y, z, half, near):
+    """Write the distances of candidates from a cube to near; return a bound on what any point has nearest."""
+    nearest = RANGE
+    for k in range(n):
+        near[k], from_centre = _distances(bounds, candidates[k], x, y, z, half)
+        nearest = min(nearest, max(from_centre, 0.0) + _HALF_DIAGONAL * half)
+    return nearest
+
+
+@kernel
+def _keep(candidates, n, near, limit, kept, m):
+    """Append to kept, from place m on, the candidates within limit; return the next place."""
+    for k in range(n):
+        if near[k] <= limit:
+            kept[m] = candidates[k]
+            m += 1
+    return m
+
+
+@kernel
+def _centre(grid, bx, by, bz, cells):
+    """Centre of a block of cells^3 cells."""
+    edge = cells * grid.cell
+    return (
+        grid.origin[0] + (bx + 0.5) * edge,
+        grid.origin[1] + (by + 0.5) * edge,
+        grid.origin[2] + (bz + 0.5) * edge,
+    )
+
+
+@kernel
+def _relevant(bounds, grid, bx, by, bz, cells, candidates, n, reach, near, kept):
+    """Copy to kept the candidates that can be nearest somewhere in a block, or are within reach of it."""
+    x, y, z = _centre(grid, bx, by, bz, cells)
+    nearest = _measure(bounds, candidates, n, x, y, z, 0.5 * cells * grid.cell, near)
+    return _keep(candidates, n, near, max(nearest, reach), kept, 0)
+
+
+@kernel
+def _fill_cells(bounds, grid, bx, by, bz, candidates, n):
+    """Store the distances of the 2^3 cells of a list block."""
+    half = 0.5 * grid.cell
+    for cx in range(2 * bx, 2 * bx + 2):
+        for cy in range(2 * by, 2 * by + 2):
+            for cz in range(2 * bz, 2 * bz + 2):
+                x, y, z = _centre(grid, cx, cy, cz, 1)
+                best = RANGE
+                for k in range(n):
+                    best = min(best, _distances(bounds, candidates[k], x, y, z, half)[0])
+                grid.distance[cx, cy, cz] = np.uint8(max(best - _ROUNDING, 0.0) / _STEP)
 
 
 @driver
-def _assign(obstacles, origin, edge, blocks, items, starts, fill):
-    """Count (fill False) or write (fill True) the obstacles within RANGE of each block."""
-    half_diagonal = 0.5 * edge * np.sqrt(3.0)
-    for i in range(obstacles.radius.shape[0]):
-        x0, x1 = _block_range(
-            obstacles.lower[i, 0] - RANGE, obstacles.upper[i, 0] + RANGE, origin[0], edge, blocks[0]
+def _with_room(items, used, more):
+    """Return items, copied into a longer array if more do not fit."""
+    if used + more <= items.shape[0]:
+        return items
+    longer = np.empty(2 * (used + more), np.int32)
+    longer[:used] = items[:used]
+    return longer
+
+
+@driver
+def _fill(bounds, grid, block_start, block_items, reach):
+    """Fill distances and lists; return the items of the lists."""
+    blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
+    most = 1
+    for block in range(block_start.shape[0] - 1):
+        most = max(most, block_start[block + 1] - block_start[block])
+    near = np.empty(most)
+    coarse, middle, fine = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
+    items, used = np.empty(1024, np.int32), 0
+    for block in range(block_start.shape[0] - 1):
+        first, last = block_start[block], block_start[block + 1]
+        bz, by, bx = block % blocks_z, block // blocks_z % blocks_y, block // (blocks_z * blocks_y)
+        n0 = _relevant(
+            bounds, grid, bx, by, bz, 8, block_items[first:last], last - first, reach, near, coarse
         )
-        y0, y1 = _block_range(
-            obstacles.lower[i, 1] - RANGE, obstacles.upper[i, 1] + RANGE, origin[1], edge, blocks[1]
-        )
-        z0, z1 = _block_range(
-            obstacles.lower[i, 2] - RANGE, obstacles.upper[i, 2] + RANGE, origin[2], edge, blocks[2]
-        )
-        for bx in range(x0, x1):
-            for by in range(y0, y1):
-                for bz in range(z0, z1):
-                    far = point_distance(
-                        obstacles,
-                        i,
-                        origin[0] + (bx + 0.5) * edge,
-                        origin[1] + (by + 0.5) * edge,
-                        origin[2] + (bz + 0.5) * edge,
-                    )
-                    if far - half_diagonal > RANGE:
-                        continue
+        for part in range(8 if n0 > 0 else 0):
+            px, py, pz = 2 * bx + (part & 1), 2 * by + (part >> 1 & 1), 2 * bz + (part >> 2)
+            n1 = _relevant(bounds, grid, px, py, pz, 4, coarse, n0, reach, near, middle)
+            for sub in range(8 if n1 > 0 else 0):
+                sx, sy, sz = 2 * px + (sub & 1), 2 * py + (sub >> 1 & 1), 2 * pz + (sub >> 2)
+                x, y, z = _centre(grid, sx, sy, sz, 2)
+                nearest = _measure(bounds, middle, n1, x, y, z, grid.cell, near)
+                _fill_cells(bounds, grid, sx, sy, sz, fine, _keep(middle, n1, near, nearest, fine, 0))
+                items = _with_room(items, used, n1)
+                end = _keep(middle, n1, near, reach, items, used)
+                grid.list_start[sx, sy, sz], grid.list_count[sx, sy, sz] = used, end - used
+                used = end
+    return items[:used].copy()
+
+
+@driver
+def _assign(bounds, origin, edge, blocks, starts, items, fill):
+    """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block."""
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(bounds.shape[0]):
+        for a in range(3):
+            extent = RANGE + bounds[i, 15]
+            for k in range(3):
+                extent += abs(bounds[i, 3 * a + k]) * bounds[i, 12 + k]
+            low[a] = int(min(max(np.floor((bounds[i, 9 + a] - extent - origin[a]) / edge), 0.0), blocks[a]))
+            high[a] = int(
+                min(max(np.floor((bounds[i, 9 + a] + extent - origin[a]) / edge) + 1.0, 0.0), blocks[a])
+            )
+        for bx in range(low[0], high[0]):
+            for by in range(low[1], high[1]):
+                for bz in range(low[2], high[2]):
                     block = (bx * blocks[1] + by) * blocks[2] + bz
                     if fill:
                         items[starts[block]] = i
                     starts[block] += 1
 
 
-@driver
-def _fill_distances(obstacles, grid, blocks):
-    """Distance of every cell centre to the nearest obstacle of its block."""
-    cell = grid.cell[0]
-    for bx in range(blocks[0]):
-        for by in range(blocks[1]):
-            for bz in range(blocks[2]):
-                block = (bx * blocks[1] + by) * blocks[2] + bz
-                first, last = grid.block_start[block], grid.block_start[block + 1]
-                if first == last:
-                    continue
-                for ix in range(bx * BLOCK, (bx + 1) * BLOCK):
-                    for iy in range(by * BLOCK, (by + 1) * BLOCK):
-                        for iz in range(bz * BLOCK, (bz + 1) * BLOCK):
-                            x = grid.origin[0] + (ix + 0.5) * cell
-                            y = grid.origin[1] + (iy + 0.5) * cell
-                            z = grid.origin[2] + (iz + 0.5) * cell
-                            best = RANGE
-                            for k in range(first, last):
-                                best = min(best, point_distance(obstacles, grid.block_items[k], x, y, z))
-                                if best == 0.0:
-                                    break
-                            grid.distance[ix, iy, iz] = max(best - MARGIN_FLOAT32, 0.0)
-
-
-def distance_grid(obstacles: Obstacles, lower: np.ndarray, upper: np.ndarray, cell: float) -> DistanceGrid:
-    """Grid over the box lower..upper (3,) [m] with cells of edge `cell` [m]."""
-    edge = BLOCK * cell
-    blocks = np.maximum(np.ceil((upper - lower) / edge).astype(np.int64), 1)
-    counts = np.zeros(int(blocks.prod()), dtype=np.int64)
-    origin = np.array(lower, dtype=float)
-    _assign(obstacles, origin, edge, blocks, np.empty(0, dtype=np.int32), counts, False)
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    items = np.empty(starts[-1], dtype=np.int32)
-    _assign(obstacles, origin, edge, blocks, items, starts[:-1].copy(), True)
-    distance = np.full(tuple(BLOCK * blocks), RANGE, dtype=np.float32)
-    grid = DistanceGrid(origin, np.array([float(cell)]), distance, starts, items)
-    _fill_distances(obstacles, grid, blocks)
-    return grid
+def distance_grid(
+    bounds: np.ndarray, lower: np.ndarray, upper: np.ndarray, cell: float, reach: float = REACH
+) -> DistanceGrid:
+    """Return the grid over the box lower..upper (3,) [m] around obstacles with bounds (n, COLUMNS)."""
+    edge = COARSE * cell
+    origin = np.asarray(lower, dtype=float).copy()
+    blocks = np.maximum(np.ceil((np.asarray(upper) - origin) / edge - 1e-9).astype(np.int64), 1)
+    starts = np.zeros(int(blocks.prod()) + 1, dtype=np.int64)
+    _assign(bounds, origin, edge, blocks, starts[1:], np.empty(0, dtype=np.int32), False)
+    starts = np.cumsum(starts)
+    block_items = np.empty(starts[-1], dtype=np.int32)
+    _assign(bounds, origin, edge, blocks, starts[:-1].copy(), block_items, True)
+    pairs = tuple(COARSE // 2 * blocks)
+    grid = DistanceGrid(
+        origin,
+        float(cell),
+        1.0 / float(cell),
+        np.full(tuple(COARSE * blocks), 255, dtype=np.uint8),
+        np.zeros(pairs, dtype=np.int64),
+        np.zeros(pairs, dtype=np.int32),
+        np.empty(0, dtype=np.int32),
+    )
+    return grid._replace(items=_fill(bounds, grid, starts, block_items, reach))
 
 
 @inlined
-def clear_of_obstacles(grid, x, y, z, radius):
-    """Whether the ball around a point is surely free, and the block the point lies in (-1 outside the grid)."""
-    cell = grid.cell[0]
-    fx, fy, fz = (x - grid.origin[0]) / cell, (y - grid.origin[1]) / cell, (z - grid.origin[2]) / cell
+def cell_of(grid, x, y, z):
+    """Return the cell (3 ints) of a point and whether the point lies in the grid (else cell 0)."""
+    scale = grid.cells_per_metre
+    fx, fy, fz = (x - grid.origin[0]) * scale, (y - grid.origin[1]) * scale, (z - grid.origin[2]) * scale
     nx, ny, nz = grid.distance.shape
-    if not (0.0 <= fx < nx and 0.0 <= fy < ny and 0.0 <= fz < nz):
-        return False, -1
-    ix, iy, iz = int(fx), int(fy), int(fz)
-    dx, dy, dz = fx - ix - 0.5, fy - iy - 0.5, fz - iz - 0.5
-    known = grid.distance[ix, iy, iz] - cell * np.sqrt(dx * dx + dy * dy + dz * dz)
-    if known > radius:
-        return True, 0
-    return False, ((ix // BLOCK) * (ny // BLOCK) + iy // BLOCK) * (nz // BLOCK) + iz // BLOCK
+    if 0.0 <= fx < nx and 0.0 <= fy < ny and 0.0 <= fz < nz:
+        return int(fx), int(fy), int(fz), True
+    return 0, 0, 0, False
+
+
+@inlined
+def known_distance(grid, ix, iy, iz):
+    """Return the lower bound stored in a cell [m]."""
+    return grid.distance[ix, iy, iz] * _STEP

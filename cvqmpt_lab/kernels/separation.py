@@ -11,8 +11,8 @@ Everything is scalar and allocation-free; coordinates are in the frame of shape 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cvqmpt_lab.kernels.compiling import inlined, kernel
 from cvqmpt_lab.kernels.simplex import dot, nearest_on_simplex
 
 HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
@@ -49,7 +49,7 @@ class ConvexShapes(NamedTuple):
     """(3, m) float64 packed hull vertices, one row a coordinate so that the support loop vectorises [m]."""
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def _hull_support(x, y, z, size, d):
     """Return the vertex farthest along d among x, y, z (n,), to about 1e-10 of the hull's size.
 
@@ -65,7 +65,7 @@ def _hull_support(x, y, z, size, d):
     return x[k], y[k], z[k]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def _core_support(kind, size, x, y, z, d):
     """Return the point of a core, in its own frame, farthest along d (3 scalars)."""
     if kind == HULL:
@@ -79,7 +79,7 @@ def _core_support(kind, size, x, y, z, d):
     return 0.0, 0.0, 0.0
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def _posed_support(kind, size, x, y, z, pose, d):
     """Return the point of a posed core farthest along d; pose is 9 rotation entries by row, then 3."""
     local = (
@@ -95,22 +95,21 @@ def _posed_support(kind, size, x, y, z, pose, d):
     )
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@kernel
 def _gjk(ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, above, below, tolerance):
     """Return the widest slab found between two cores [m]; see `separating_gap` for when it stops."""
     v = axis
-    n = 0
+    n = np.int64(0)
     p0 = p1 = p2 = axis
     widest = -np.inf
     known = False
     for _ in range(_MAX_ITERATIONS):
         length = np.sqrt(dot(v, v))
         away = (-v[0], -v[1], -v[2])
-        a = (
-            _core_support(ka, size_a, xa, ya, za, away)
-            if ka == HULL
-            else _posed_support(ka, size_a, xa, ya, za, pose_a, away)
-        )
+        if ka == HULL:
+            a = _hull_support(xa, ya, za, size_a, away)
+        else:
+            a = _posed_support(ka, size_a, xa, ya, za, pose_a, away)
         b = _posed_support(kb, size_b, xb, yb, zb, pose_b, v)
         w = (a[0] - b[0], a[1] - b[1], a[2] - b[2])
         gap = dot(v, w) / length if length > 0.0 else -np.inf
@@ -128,7 +127,7 @@ def _gjk(ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, a
     return widest
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def compose(r, t, pose):
     """Return pose (12-tuple) followed by rotation r (3, 3) and translation t (3,) inside it."""
     return (
@@ -147,7 +146,7 @@ def compose(r, t, pose):
     )
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     """Return the widest empty slab found between shape i of a and shape j of b [m].
 
@@ -193,7 +192,51 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     return gap - swelling
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def separated(a, i, b, j, pose, axis, margin):
     """Return whether a slab wider than margin [m] separates shape i of a from shape j of b."""
     return separating_gap(a, i, b, j, pose, axis, margin, margin, 1e-9) > margin
+
+
+@kernel
+def distance(a, i, b, j, pose, axis, tolerance):
+    """Return a lower bound [m] of the distance of two shapes, at most tolerance below it; 0 in contact."""
+    return max(separating_gap(a, i, b, j, pose, axis, np.inf, 0.0, tolerance), 0.0)
+
+
+@inlined
+def point_separated(a, i, point, radius, axis, margin):
+    """Return whether a slab wider than margin [m] separates shape i of a from a ball.
+
+    point, radius: centre (3 floats, in the frame of a's owner) and radius of the ball [m].
+    """
+    swelling = a.radius[i] + radius
+    start, count = a.vertex_start[i], a.vertex_count[i]
+    x, y, z = (
+        a.vertices[0, start : start + count],
+        a.vertices[1, start : start + count],
+        a.vertices[2, start : start + count],
+    )
+    size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
+    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
+    pose_b = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, point[0], point[1], point[2])
+    limit = margin + swelling
+    gap = _gjk(
+        a.kind[i],
+        size,
+        x,
+        y,
+        z,
+        pose_a,
+        np.int64(SPHERE),
+        (0.0, 0.0, 0.0),
+        x,
+        y,
+        z,
+        pose_b,
+        axis,
+        limit,
+        limit,
+        1e-9,
+    )
+    return gap > limit

@@ -5,34 +5,34 @@ Voronoi-region tests after Ericson, "Real-Time Collision Detection", section 5.1
 point v. Points are tuples of three floats [m].
 """
 
-from numba import njit
+from cvqmpt_lab.kernels.compiling import inlined, kernel
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _FLAT = 1e-12
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def dot(a, b):
     """Return the inner product of two 3-tuples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _minus(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _along(a, t, e):
     return a[0] + t * e[0], a[1] + t * e[1], a[2] + t * e[2]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inlined
 def _nearest_on_segment(a, b):
     ab = _minus(b, a)
     t = -dot(a, ab)
@@ -44,7 +44,7 @@ def _nearest_on_segment(a, b):
     return 2, a, b, b, _along(a, t / length2, ab)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest_on_triangle(a, b, c):
     ab, ac = _minus(b, a), _minus(c, a)
     d1, d2 = -dot(ab, a), -dot(ac, a)
@@ -74,7 +74,7 @@ def _nearest_on_triangle(a, b, c):
     return 3, a, b, c, (height * normal[0], height * normal[1], height * normal[2])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _beyond_face(a, b, c, opposite):
     """Return whether the origin may lie beyond face abc, seen from the opposite corner (flat: yes)."""
     normal = _cross(_minus(b, a), _minus(c, a))
@@ -86,7 +86,7 @@ def _beyond_face(a, b, c, opposite):
     return side_origin * side_opposite < 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest_on_tetrahedron(a, b, c, d):
     """Return the nearest point on tetrahedron abcd, where d is the newest corner; n = 4 when it encloses."""
     found = (4, a, b, c, _ORIGIN)
@@ -107,7 +107,7 @@ def _nearest_on_tetrahedron(a, b, c, d):
     return found
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inlined
 def nearest_on_simplex(n, p0, p1, p2, newest):
     """Return the nearest point to the origin on the hull of the first n points and the newest one."""
     if n == 0:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from cvqmpt_lab.kernels.collision import RobotGeometry, SceneGeometry, state_in_collision
+from cvqmpt_lab.kernels.collision import state_in_collision
 from cvqmpt_lab.kernels.compiling import inlined
+from cvqmpt_lab.kernels.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.kernels.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.projection import ProjectionScratch, project
 from cvqmpt_lab.kernels.task_space_region import Regions

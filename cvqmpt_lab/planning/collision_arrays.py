@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvqmpt_lab.kernels.collision import RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
+from cvqmpt_lab.kernels.geometry import RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
 from cvqmpt_lab.kernels.separation import BOX, CYLINDER, HULL, SPHERE
 from cvqmpt_lab.kernels.shapes import ShapeSpec
 from cvqmpt_lab.robot.robot import Robot
@@ -28,7 +28,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         links.append(hand)
     n = len(robot.links)
     carried = [(i, n + k) for i, k in carried_pairs(robot, attachments)]
-    return robot_geometry(specs, links, [*robot.self_collision_pairs, *carried], robot.dof + 1)
+    return robot_geometry(specs, links, [*robot.self_collision_pairs, *carried])
 
 
 @lru_cache(maxsize=8)
