@@ -199,7 +199,8 @@ def test_stage1_loss_masks_padding():
     dictionary = Dictionary(SMALL).eval()
     u, visible = torch.rand(2, 6, 7), torch.ones(2, 6, dtype=torch.bool)
     visible[1, 4:] = False
-    output = dictionary(u)
+    with torch.no_grad():
+        output = dictionary(u)
     loss = stage1_loss(output, u, visible, commitment=0.25)
     nll = sum(
         -float(output.gaussians[b, t].log_prob(u[b, t])) for b in range(2) for t in range(6) if visible[b, t]
