@@ -1,7 +1,5 @@
 """Pre-norm attention and feed-forward blocks, as the published checkpoints have them."""
 
-import math
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -21,7 +19,7 @@ class MultiHeadAttention(nn.Module):
 
     def __init__(self, sizes: TransformerConfig) -> None:
         super().__init__()
-        self.n_heads, self.d_k = sizes.n_heads, sizes.d_k
+        self.n_heads = sizes.n_heads
         self.w_qs = nn.Linear(sizes.d_model, sizes.n_heads * sizes.d_k, bias=False)
         self.w_ks = nn.Linear(sizes.d_model, sizes.n_heads * sizes.d_k, bias=False)
         self.w_vs = nn.Linear(sizes.d_model, sizes.n_heads * sizes.d_v, bias=False)
@@ -51,11 +49,14 @@ class MultiHeadAttention(nn.Module):
             projection(tokens).unflatten(-1, (self.n_heads, -1)).transpose(1, 2)
             for projection, tokens in ((self.w_qs, queries_of), (self.w_ks, keys_of), (self.w_vs, keys_of))
         )
-        scores = (q / math.sqrt(self.d_k)) @ k.transpose(2, 3)
-        if visible is not None:
-            scores = scores.masked_fill(~visible[:, None, None, :], -1e9)
-        weights = F.dropout(scores.softmax(dim=-1), self.dropout, self.training)
-        heads = (weights @ v).transpose(1, 2).flatten(2)
+        heads = F.scaled_dot_product_attention(
+            q,
+            k,
+            v,
+            attn_mask=None if visible is None else visible[:, None, None, :],
+            dropout_p=self.dropout if self.training else 0.0,
+        )
+        heads = heads.transpose(1, 2).flatten(2)
         return query + F.dropout(self.fc(heads), self.dropout, self.training)
 
 

@@ -20,6 +20,7 @@ from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.compact_sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig
 from cvqmpt_lab.models.dictionary import Dictionary
 from cvqmpt_lab.models.sequence_model import PublishedSequenceModel
@@ -65,6 +66,18 @@ class RobotSignature:
                     )
 
 
+SequenceModel = PublishedSequenceModel | CompactSequenceModel
+_SEQUENCE_MODELS: dict[str, type[PublishedSequenceModel] | type[CompactSequenceModel]] = {
+    "published": PublishedSequenceModel,
+    "compact": CompactSequenceModel,
+}
+
+
+def build_sequence_model(config: ModelConfig) -> SequenceModel:
+    """Stage 2 as `config.kind` asks for, with random weights."""
+    return _SEQUENCE_MODELS[config.kind](config)
+
+
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
     """A model and what it belongs to; `sequence_model` is None after stage 1 alone."""
@@ -72,7 +85,7 @@ class Checkpoint:
     config: ModelConfig
     robot: RobotSignature
     dictionary: Dictionary
-    sequence_model: PublishedSequenceModel | None = None
+    sequence_model: SequenceModel | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -89,11 +102,6 @@ class Checkpoint:
         if self.sequence_model is not None:
             parts["sequence_model"] = self.sequence_model
         return parts
-
-
-def build_sequence_model(config: ModelConfig) -> PublishedSequenceModel:
-    """Stage 2 as `config.kind` asks for, with random weights."""
-    return PublishedSequenceModel(config)
 
 
 def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:

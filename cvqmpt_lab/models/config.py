@@ -77,7 +77,12 @@ class SetAbstractionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class PointCloudConfig:
-    """Two levels of set abstraction; the second one's centres are the scene tokens."""
+    """Two levels of set abstraction; the second one's centres are the scene tokens.
+
+    max_points: larger clouds are thinned to every so-many-th point (compact only); None for all.
+    """
+
+    max_points: int | None = None
 
     sa1: SetAbstractionConfig = SetAbstractionConfig(ratio=0.75, radius=0.2, widths=(64, 128))
     sa2: SetAbstractionConfig = SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, 512))
@@ -134,11 +139,13 @@ class ModelConfig:
         departures = {
             "feature_dim": self.feature_dim > 0,
             "dictionary.encoder": self.dictionary.encoder != "transformer",
+            "dictionary.data_initialised": self.dictionary.data_initialised,
             "start_goal_codes": sequence.start_goal_codes,
             "refinement": sequence.refinement,
             "collision_head": sequence.collision_head,
             "connectivity_head": sequence.connectivity_head,
-            "no context": sequence.context is None,
+            "point_cloud.max_points": self.point_cloud.max_points is not None,
+            "null sequence.context": sequence.context is None,
         }
         if self.kind == "published":
             named = [name for name, departs in departures.items() if departs]
@@ -149,6 +156,11 @@ class ModelConfig:
                 raise InvalidInputError(f"kind 'published' has one latent width: {width} is not {widths}")
         elif sequence.context is not None:
             raise InvalidInputError("kind 'compact' has no sequence.context; set it to null")
+        elif sequence.transformer.d_k != sequence.transformer.d_v:
+            raise InvalidInputError(
+                f"kind 'compact' has d_v equal to d_k in sequence.transformer, not {sequence.transformer.d_v} "
+                f"and {sequence.transformer.d_k}"
+            )
 
     @property
     def configuration_dim(self) -> int:
@@ -168,7 +180,7 @@ class ModelConfig:
     @classmethod
     def compact(cls, joint_dim: int = 7, feature_dim: int = 0, n_codes: int = 1024) -> Self:
         """About a tenth of the size, made for one CPU core, every departure from the paper on."""
-        small = TransformerConfig(n_heads=4, d_k=32, d_v=32, d_model=128, d_inner=512, dropout=0.1)
+        small = TransformerConfig(n_heads=4, d_k=32, d_v=32, d_model=128, d_inner=256, dropout=0.1)
         return cls(
             kind="compact",
             joint_dim=joint_dim,
@@ -181,6 +193,7 @@ class ModelConfig:
                 data_initialised=True,
             ),
             point_cloud=PointCloudConfig(
+                max_points=2048,
                 sa1=SetAbstractionConfig(count=256, radius=0.15, max_neighbours=16, widths=(32, 64)),
                 sa2=SetAbstractionConfig(count=64, radius=0.4, max_neighbours=32, widths=(128, 128)),
             ),

@@ -76,14 +76,12 @@ def _farthest_of_one(points: np.ndarray, count: int) -> np.ndarray:
     axes = points.T.copy()
     indices = np.zeros(count, dtype=np.int64)
     nearest = np.full(len(points), np.inf, dtype=points.dtype)
-    distance, term = np.empty_like(nearest), np.empty_like(nearest)
+    offsets, distance = np.empty_like(axes), np.empty_like(nearest)
     latest = 0
     for k in range(1, count):
-        for axis, total in enumerate((distance, term, term)):
-            np.subtract(axes[axis], axes[axis, latest], out=total)
-            np.multiply(total, total, out=total)
-            if axis > 0:
-                np.add(distance, term, out=distance)
+        np.subtract(axes, axes[:, latest, None], out=offsets)
+        np.multiply(offsets, offsets, out=offsets)
+        np.add.reduce(offsets, axis=0, out=distance)
         np.minimum(nearest, distance, out=nearest)
         latest = int(nearest.argmax())
         indices[k] = latest
@@ -122,9 +120,18 @@ def ball_query(points: Tensor, centres: Tensor, radius: float, max_neighbours: i
         for axis in (1, 2):
             squares += (axes[:, None, axis] - block[:, :, axis]).square_()
         torch.lt(squares, radius * radius, out=near[:, first : first + at_once])
-    row, point = near.flatten(0, 1).nonzero(as_tuple=True)
+    row, point = _true_places(near.flatten(0, 1))
     sizes = torch.bincount(row, minlength=batch * m)
     rank = torch.arange(len(row), device=row.device) - (sizes.cumsum(0) - sizes)[row]
     kept = rank < max_neighbours
     row, point = row[kept], point[kept]
     return Edges(row // m * n + point, row)
+
+
+def _true_places(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows and columns of what is true in mask (r, c), row by row; numpy is ten times faster at it."""
+    if mask.device.type != "cpu":
+        row, column = mask.nonzero(as_tuple=True)
+        return row, column
+    flat = torch.from_numpy(np.flatnonzero(mask.numpy()))
+    return flat // mask.shape[1], flat % mask.shape[1]

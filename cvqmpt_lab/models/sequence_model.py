@@ -1,5 +1,6 @@
 """Published stage 2: scene, start and goal to a sequence of codes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,6 +10,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.attention import EPSILON, SelfAttentionLayer
 from cvqmpt_lab.models.config import ModelConfig, TransformerConfig
 from cvqmpt_lab.models.context_encoder import SceneContext
+from cvqmpt_lab.models.decoding import PrefixDecoder, StepDecoder, rows_per_scene
+from cvqmpt_lab.models.dictionary import Dictionary
 from cvqmpt_lab.models.point_sampling import require_point_cloud
 from cvqmpt_lab.models.quantizer import Quantizer
 
@@ -56,7 +59,7 @@ class PublishedSequenceModel(nn.Module):
         self.context = SceneContext(config.joint_dim, config.point_cloud, config.sequence.context)
         self.autoregressive = AutoRegressiveModel(config.goal_class + 1, config.sequence.transformer)
 
-    def encode_scene(self, clouds: list[Tensor]) -> PublishedScene:
+    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> PublishedScene:
         """Encode clouds (n_i, 3) [m, robot base frame].
 
         Raises
@@ -66,14 +69,14 @@ class PublishedSequenceModel(nn.Module):
         """
         for cloud in clouds:
             require_point_cloud(cloud)
-        return PublishedScene(*self.context.encode_scene(clouds))
+        return PublishedScene(*self.context.encode_scene(list(clouds)))
 
     def encode_context(self, scene: PublishedScene, start: Tensor, goal: Tensor) -> Tensor:
         """Context tokens (b, 2, d_model) of starts and goals (b, joint_dim).
 
-        b is a multiple of the number of scenes; rows are grouped by scene.
+        Rows are grouped by scene, equally many each.
         """
-        times = len(start) // len(scene.tokens)
+        times = rows_per_scene(len(start), len(scene.tokens))
         tokens = scene.tokens.repeat_interleave(times, 0)
         visible = scene.visible.repeat_interleave(times, 0)
         return self.context.context_encoder(torch.stack((start, goal), 1), tokens, visible)
@@ -103,3 +106,14 @@ class PublishedSequenceModel(nn.Module):
             return self.autoregressive(tokens, last)
         visible = torch.arange(tokens.shape[1], device=tokens.device) < 3 + lengths[:, None]
         return self.autoregressive(tokens, 2 + lengths, visible)
+
+    def decoder(
+        self, dictionary: Dictionary, scene: PublishedScene, start: Tensor, goal: Tensor
+    ) -> StepDecoder:
+        """Decoder for starts and goals (q, joint_dim), queries grouped by scene."""
+        context = self.encode_context(scene, start, goal)
+
+        def logits_of(queries: Tensor, sequences: Tensor) -> Tensor:
+            return self.prefix_logits(context[queries], sequences, dictionary.quantizer)
+
+        return PrefixDecoder(torch.arange(len(start), device=start.device), logits_of)
