@@ -6,16 +6,11 @@ import pytest
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models import checkpoint as checkpoint_module
-from cvqmpt_lab.models.checkpoint import (
-    Checkpoint,
-    RobotSignature,
-    checkpoint_sha256,
-    load_checkpoint,
-    save_checkpoint,
-)
+from cvqmpt_lab.models import weights_folder
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.config import DictionaryConfig, ModelConfig, TransformerConfig
 from cvqmpt_lab.models.dictionary import Dictionary
+from cvqmpt_lab.models.weights_folder import RobotSignature, checkpoint_sha256
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 SIZES = TransformerConfig(n_layers=1, n_heads=1, d_k=4, d_v=4, d_model=8, d_inner=8)
@@ -53,7 +48,7 @@ def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
 
     for name in ("_write_durably", "_move_into_place"):
         with monkeypatch.context() as patch:
-            patch.setattr(checkpoint_module, name, full)
+            patch.setattr(weights_folder, name, full)
             with pytest.raises(InvalidInputError, match="No space left"):
                 save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG)))
     assert checkpoint_sha256(folder) == before
@@ -92,7 +87,8 @@ def edit(folder, change):
         (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
         (lambda d: d.update(format="2"), "format is '2'"),
         (lambda d: d.pop("metadata"), "metadata is None"),
-        (lambda d: d["sha256"].clear(), "sha256 lists nothing"),
+        (lambda d: d["sha256"].clear(), "sha256 lists nothing; it must list dictionary"),
+        (lambda d: d.update(architecture="mpnet"), "architecture is 'mpnet'; expected 'vq-mpt'"),
         (lambda d: d["robot"].pop("lower"), "robot must have a name"),
         (lambda d: d["robot"].update(lower=[0.0]), "limits of 1 joints"),
     ],

@@ -8,7 +8,7 @@ import torch
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.beam_search import beam_search, sample_sequences
-from cvqmpt_lab.models.checkpoint import Checkpoint, RobotSignature, load_checkpoint, save_checkpoint
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.compact_inference import CompactInference
 from cvqmpt_lab.models.compact_sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import (
@@ -20,6 +20,7 @@ from cvqmpt_lab.models.config import (
 )
 from cvqmpt_lab.models.dictionary import Dictionary
 from cvqmpt_lab.models.losses import binary_loss, refinement_loss, sequence_loss
+from cvqmpt_lab.models.weights_folder import RobotSignature
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24, dropout=0.1)
 POINTS = PointCloudConfig(

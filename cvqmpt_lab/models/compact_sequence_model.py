@@ -105,14 +105,15 @@ class CompactSequenceModel(nn.Module):
         most = self.config.point_cloud.max_points
         thinned = []
         for cloud in clouds:
-            require_point_cloud(cloud)
             if most is not None and len(cloud) > most:
                 cloud = cloud[torch.arange(most, device=cloud.device) * len(cloud) // most]
             thinned.append(cloud)
         sizes = sorted({len(cloud) for cloud in thinned})
         if len(sizes) != 1:
             raise InvalidInputError(f"clouds of {sizes} points in one batch; give them equally many")
-        tokens = self.point_cloud_encoder(torch.stack(thinned))
+        points = torch.stack(thinned)
+        require_point_cloud(points)
+        tokens = self.point_cloud_encoder(points)
         projected = self.scene_projection(scene_features(tokens.coarse))
         keys_values = [layer.scene_keys_values(projected) for layer in self.compact_layers()]
         return CompactScene(tokens, torch.stack(keys_values))

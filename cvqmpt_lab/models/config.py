@@ -4,14 +4,12 @@ Defaults are the paper's; `ModelConfig.compact` is the smaller model with every 
 each of which is one named field that can be switched off again.
 """
 
-import dataclasses
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.json_dataclass import from_plain, to_plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +207,7 @@ class ModelConfig:
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
-        return _plain(dataclasses.asdict(self))
+        return to_plain(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -220,46 +218,4 @@ class ModelConfig:
         InvalidInputError
             Naming the field that is unknown, missing or of the wrong type.
         """
-        return _build(cls, data, "model")
-
-
-def _plain(value: Any) -> Any:
-    """`value` with tuples as lists, as json would give it back."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, tuple) else value
-
-
-def _build(kind: Any, value: Any, where: str) -> Any:
-    """Make a dataclass, tuple or number of type `kind` from json; raise InvalidInputError at `where`."""
-    if isinstance(kind, types.UnionType):
-        options = [option for option in typing.get_args(kind) if option is not type(None)]
-        return None if value is None else _build(options[0], value, where)
-    if typing.get_origin(kind) is Literal:
-        if value not in typing.get_args(kind):
-            raise UnknownChoiceError(where, value, typing.get_args(kind))
-        return value
-    if typing.get_origin(kind) is tuple:
-        parts = typing.get_args(kind)
-        if not isinstance(value, list) or len(value) != len(parts):
-            raise InvalidInputError(f"{where} is {value!r}; it must be a list of {len(parts)}")
-        return tuple(_build(part, v, where) for part, v in zip(parts, value, strict=True))
-    if dataclasses.is_dataclass(kind):
-        return _build_dataclass(kind, value, where)
-    accepted = (int, float) if kind is float else (kind,)
-    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-        raise InvalidInputError(f"{where} is {value!r}; it must be {kind.__name__}")
-    if kind is int and value < 0:
-        raise InvalidInputError(f"{where} is {value}; it cannot be negative")
-    return kind(value)
-
-
-def _build_dataclass(kind: Any, value: Any, where: str) -> Any:
-    hints = typing.get_type_hints(kind)
-    if not isinstance(value, Mapping):
-        raise InvalidInputError(f"{where} is {value!r}; it must be an object with {', '.join(hints)}")
-    for name in (*value, *hints):
-        if name not in hints or name not in value:
-            state = "unknown" if name not in hints else "missing"
-            raise InvalidInputError(f"{where}.{name} is {state}; fields: {', '.join(hints)}")
-    return kind(**{name: _build(hints[name], value[name], f"{where}.{name}") for name in hints})
+        return from_plain(cls, data, "model")

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import Checkpoint, RobotSignature, load_tensors, read_json_object
+from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.config import (
     DictionaryConfig,
     ModelConfig,
@@ -22,6 +22,7 @@ from cvqmpt_lab.models.config import (
 )
 from cvqmpt_lab.models.dictionary import Dictionary
 from cvqmpt_lab.models.sequence_model import PublishedSequenceModel
+from cvqmpt_lab.models.weights_folder import RobotSignature, load_tensors, read_json_object
 
 WEIGHTS_FILE = "best_model.pkl"
 CODE_DIM = 8
