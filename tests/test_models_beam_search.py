@@ -176,3 +176,9 @@ def test_bad_options_of_the_search(arguments, message):
 def test_bad_options_of_sampling(arguments):
     with pytest.raises(InvalidInputError, match="give at least 1, above 0"):
         sample_sequences(TableDecoder(tables(0)), rng=np.random.default_rng(0), **arguments)
+
+
+def test_logits_that_are_not_finite_are_refused():
+    for search in (beam_search, lambda d: sample_sequences(d, 1, np.random.default_rng(0))):
+        with pytest.raises(InvalidInputError, match="not finite"):
+            search(TableDecoder(np.full((1, STEPS, CODES + 1, CODES + 2), np.nan)))

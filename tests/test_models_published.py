@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.models.attention import FeedForward, MultiHeadAttention, sinusoid_table
+from cvqmpt_lab.models.beam_search import beam_search
 from cvqmpt_lab.models.config import (
     DictionaryConfig,
     ModelConfig,
@@ -125,6 +126,9 @@ def test_trajectory_encoder_uses_one_layer_norm_three_times():
 
 def test_quantizer_takes_the_nearest_code_by_cosine_and_keeps_codes_unit():
     quantizer = Quantizer(12, 8, 16)
+    torch.testing.assert_close(quantizer.embedding.weight.norm(dim=1), torch.ones(12))
+    with torch.no_grad():
+        quantizer.embedding.weight *= torch.rand(12, 1) + 0.5
     latent = torch.randn(2, 5, 16)
     output = quantizer(latent)
     codes = quantizer.embedding.weight.detach()
@@ -281,6 +285,24 @@ def test_context_tokens_ignore_each_other_and_padding(sequence_model):
     other_goal = sequence_model.encode_context(scene, start, torch.rand(4, 7))
     torch.testing.assert_close(other_goal[:, 0], together[:, 0])
     assert not torch.allclose(other_goal[:, 1], together[:, 1])
+
+
+@pytest.mark.parametrize("scoring", ["log-probability", "published"])
+def test_beam_search_scores_what_the_model_says(sequence_model, scoring):
+    dictionary = Dictionary(SMALL).eval()
+    start, goal = torch.rand(2, 7), torch.rand(2, 7)
+    with torch.no_grad():
+        scene = sequence_model.encode_scene([torch.rand(20, 3)])
+        context = sequence_model.encode_context(scene, start, goal)
+        decoder = sequence_model.decoder(dictionary, scene, start, goal)
+        found = beam_search(decoder, max_length=9, scoring=scoring)
+        for row, sequence in enumerate(found):
+            expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
+            for i, code in enumerate(path):
+                prefix = torch.tensor([path[:i]], dtype=torch.int64)
+                logits = sequence_model.prefix_logits(context[row : row + 1], prefix, dictionary.quantizer)
+                expected += float(logits.log_softmax(1)[0, code])
+            assert sequence.log_probability == pytest.approx(expected, abs=1e-4)
 
 
 def test_sequence_loss_is_summed_over_prefixes_per_trajectory():

@@ -83,7 +83,8 @@ def beam_search(
     Raises
     ------
     InvalidInputError, UnknownChoiceError
-        For a length or beam count below 1, more beams than codes, or an unknown scoring.
+        For a length or beam count below 1, more beams than codes, an unknown scoring, or logits that are
+        not finite.
     """
     if scoring not in get_args(Scoring):
         raise UnknownChoiceError("scoring", scoring, get_args(Scoring))
@@ -158,7 +159,7 @@ def sample_sequences(
     Raises
     ------
     InvalidInputError
-        For a count or length below 1, or a temperature that is not positive.
+        For a count or length below 1, a temperature that is not positive, or logits that are not finite.
     """
     if count < 1 or not temperature > 0.0:
         raise InvalidInputError(f"{count} sequences at temperature {temperature}; give at least 1, above 0")
@@ -173,8 +174,7 @@ def sample_sequences(
             logits = decoder.advance(parents, np.where(ended, 0, drawn[-1]))
             log_p = _log_probabilities(logits, (rows,))
             log_p[row, np.where(ended, classes - 2, drawn[-1])] = -np.inf
-        noise = rng.gumbel(size=(rows, classes))  # the largest noisy logit is a draw of the softmax
-        code = np.where(ended, goal, (log_p / temperature + noise).argmax(axis=1))
+        code = np.where(ended, goal, _draw(log_p / temperature, rng))
         total += np.where(ended, 0.0, log_p[row, code])
         drawn.append(code)
         ended = code == goal
@@ -185,6 +185,14 @@ def sample_sequences(
         kept = tuple(code for code in codes if code != goal)
         sequences.append(CodeSequence(kept, goal in codes, log_probability, log_probability))
     return [tuple(sequences[i : i + count]) for i in range(0, rows, count)]
+
+
+def _draw(logits: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Columns (r,) drawn from the softmax of each row (r, n)."""
+    cumulated = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1, dtype=np.float64)
+    total = cumulated[:, -1:]
+    threshold = np.minimum(rng.random((len(logits), 1)) * total, np.nextafter(total, 0.0))
+    return (cumulated <= threshold).sum(axis=1)
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -200,6 +208,8 @@ def _first_log_probabilities(decoder: StepDecoder, max_length: int) -> np.ndarra
     if max_length < 1:
         raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")
     logits = decoder.start()
+    if not np.isfinite(logits).all():
+        raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
     log_p = _log_probabilities(logits, (len(logits),))
     log_p[:, -1] = -np.inf
     return log_p

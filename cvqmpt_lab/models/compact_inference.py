@@ -56,7 +56,12 @@ class _Layer:
     @classmethod
     def of(cls, layer: CompactLayer) -> "_Layer":
         project, out = _Affine.of(layer.project, layer.norm), _Affine.of(layer.out)
-        return cls(layer.n_heads, layer.widths[0], layer.norm.eps, project, out)
+        width = layer.widths[0]
+        query = slice(0, width // 3)  # 1 / sqrt(d_k) of the attention is folded into the queries
+        scale = math.sqrt(layer.n_heads / (width // 3))
+        project.weight[:, query] *= scale
+        project.bias[query] *= scale
+        return cls(layer.n_heads, width, layer.norm.eps, project, out)
 
     def __call__(self, tokens: np.ndarray, known: np.ndarray, place: int) -> np.ndarray:
         """Map tokens (rows, t, d_model) that stand at `place` and after.
@@ -66,18 +71,19 @@ class _Layer:
         rows, t, _ = tokens.shape
         both = self.project(_normalised(tokens, self.epsilon))
         projected = both[..., : self.attention_width].reshape(rows, t, 3, self.n_heads, -1)
-        known[:, :, :, place : place + t] = projected[:, :, 1:].transpose(0, 2, 3, 1, 4)
+        projected = projected.transpose(0, 2, 3, 1, 4)
+        known[:, :, :, place : place + t] = projected[:, 1:]
         seen = known[:, :, :, : place + t]
-        query = projected[:, :, 0].transpose(0, 2, 1, 3) * (1.0 / math.sqrt(projected.shape[-1]))
-        scores = query @ seen[:, 0].swapaxes(-1, -2)
+        scores = projected[:, 0] @ seen[:, 0].swapaxes(-1, -2)
         if t > 1:  # no token looks at later ones
             scores[..., place:][..., np.triu(np.ones((t, t), dtype=bool), 1)] = -np.inf
-        scores -= scores.max(axis=-1, keepdims=True)
+        scores -= np.maximum.reduce(scores, axis=-1, keepdims=True)
         np.exp(scores, out=scores)
-        scores /= np.add.reduce(scores, axis=-1, keepdims=True)
-        heads = (scores @ seen[:, 1]).transpose(0, 2, 1, 3).reshape(rows, t, -1)
+        heads = scores @ seen[:, 1]
+        heads /= np.add.reduce(scores, axis=-1, keepdims=True)
         hidden = np.maximum(both[..., self.attention_width :], 0.0)
-        return tokens + self.out(np.concatenate((heads, hidden), axis=-1))
+        branches = np.concatenate((heads.transpose(0, 2, 1, 3).reshape(rows, t, -1), hidden), axis=-1)
+        return tokens + self.out(branches)
 
 
 def _normalised(x: np.ndarray, epsilon: float) -> np.ndarray:

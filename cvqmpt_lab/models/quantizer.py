@@ -21,8 +21,9 @@ class Quantized:
 class Quantizer(nn.Module):
     """Projects latents to few dimensions, replaces them by the nearest code, projects back.
 
-    Every call scales the codes back to unit length, in place. The batch norm is never applied; it is
-    part of the published checkpoints' layout.
+    Every forward call scales the codes back to unit length, in place; after the last optimizer step call
+    `normalise_codes` before saving. The batch norm is never applied; it is part of the published
+    checkpoints' layout.
     """
 
     def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
@@ -32,6 +33,12 @@ class Quantizer(nn.Module):
         self.embedding = nn.Embedding(n_codes, code_dim)
         nn.init.xavier_uniform_(self.embedding.weight)
         self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
+        self.normalise_codes()
+
+    @torch.no_grad()
+    def normalise_codes(self) -> None:
+        """Scale every code to unit length, in place."""
+        self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
 
     def project(self, latent: Tensor) -> Tensor:
         """Unit vectors (..., code_dim) that stand for latents (..., d_model)."""
@@ -48,8 +55,7 @@ class Quantizer(nn.Module):
         The value passed on is e; its gradient reaches the encoder (as if z had been passed on) and the
         code e alike: z + e - stop_gradient(z).
         """
-        with torch.no_grad():
-            self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
+        self.normalise_codes()
         z = self.project(latent)
         codes = self.nearest(z)
         through = z + self.embedding(codes) - z.detach()
