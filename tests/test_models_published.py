@@ -24,7 +24,7 @@ from cvqmpt_lab.models.dictionary import Dictionary
 from cvqmpt_lab.models.gaussian_decoder import GaussianDecoder, diagonal_gaussians
 from cvqmpt_lab.models.losses import quantization_loss, sequence_loss, stage1_loss
 from cvqmpt_lab.models.quantizer import Quantized, Quantizer
-from cvqmpt_lab.models.sequence_model import PublishedSequenceModel
+from cvqmpt_lab.models.sequence_model import PublishedSequenceModel, prefix_samples
 from cvqmpt_lab.models.trajectory_encoder import TrajectoryEncoder
 
 SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
@@ -305,6 +305,14 @@ def test_beam_search_scores_what_the_model_says(sequence_model, scoring):
             assert sequence.log_probability == pytest.approx(expected, abs=1e-4)
 
 
+def test_prefix_samples():
+    samples = prefix_samples(torch.tensor([4, 2, 7]), 13)
+    assert samples.lengths.tolist() == [0, 1, 2, 3]
+    assert samples.targets.tolist() == [4, 2, 7, 13]
+    assert samples.codes.tolist() == [[4, 2, 7]] * 4
+    assert [len(prefix_samples(torch.arange(n), 999).targets) for n in (78, 79, 119, 399)] == [79, 40, 40, 40]
+
+
 def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
     logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
     visible = torch.tensor([[True, True, True], [True, True, False]])
@@ -323,6 +331,7 @@ def test_config_survives_json(config):
         (("kind",), "tiny", "unknown model.kind 'tiny'; valid choices: published, compact"),
         (("joint_dim",), "7", "model.joint_dim is '7'; it must be int"),
         (("joint_dim",), -7, "cannot be negative"),
+        (("joint_dim",), 0, "must be at least 1"),
         (("speed",), 3, "model.speed is unknown"),
         (("dictionary", "n_codes"), None, "model.dictionary.n_codes is None"),
         (("point_cloud", "sa1", "widths"), [3], "must be a list of 2"),

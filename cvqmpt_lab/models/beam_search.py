@@ -121,19 +121,19 @@ def _extend(hypotheses: _Beams, log_p: np.ndarray, scoring: Scoring) -> tuple[_B
     """Best continuations and the ranks (q, k) they continue; log_p (q, k, classes), overwritten."""
     queries, beams, classes = log_p.shape
     latest = hypotheses.codes[..., -1]
+    query = np.arange(queries)[:, None]
     if scoring == "published":
         gain = np.exp(log_p)
-        np.put_along_axis(gain, np.broadcast_to(latest[:, None], (queries, beams, beams)), -np.inf, axis=2)
+        gain.swapaxes(1, 2)[query, latest] = -np.inf
     else:
         ended = latest == classes - 1
         if ended.any():  # a finished hypothesis goes on as it is, for nothing
             log_p[ended] = -np.inf
             log_p[ended, -1] = 0.0
-        np.put_along_axis(log_p, np.where(ended, classes - 2, latest)[..., None], -np.inf, axis=2)
+        log_p[query, np.arange(beams), np.where(ended, classes - 2, latest)] = -np.inf
         gain = log_p
     flat, score = _largest((hypotheses.score[..., None] + gain).reshape(queries, -1), beams)
     rank, code = np.divmod(flat, classes)
-    query = np.arange(queries)[:, None]
     log_probability = hypotheses.log_probability[query, rank] + log_p[query, rank, code]
     codes = np.concatenate((hypotheses.codes[query, rank], code[..., None]), axis=2)
     return _Beams(codes, score, log_probability), rank

@@ -133,6 +133,9 @@ class ModelConfig:
     sequence: SequenceConfig = field(default_factory=SequenceConfig)
 
     def __post_init__(self) -> None:
+        sizes = (self.joint_dim, self.dictionary.n_codes, self.dictionary.code_dim)
+        if min(sizes) < 1:
+            raise InvalidInputError(f"joint_dim, n_codes and code_dim must be at least 1, not {sizes}")
         sequence, width = self.sequence, self.sequence.transformer.d_model
         departures = {
             "feature_dim": self.feature_dim > 0,

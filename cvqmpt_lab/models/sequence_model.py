@@ -27,6 +27,26 @@ class PublishedScene:
     visible: Tensor
 
 
+@dataclass(frozen=True, eq=False)
+class PrefixSamples:
+    """Training samples of one sequence: prefixes (p, n), how many codes count (p,), what follows (p,)."""
+
+    codes: Tensor
+    lengths: Tensor
+    targets: Tensor
+
+
+def prefix_samples(codes: Tensor, goal_class: int) -> PrefixSamples:
+    """Every prefix of codes (n,) and the next code, the goal class after the last.
+
+    Of 80 and more only every k-th, so that about 40 are left (published code).
+    """
+    following = torch.cat((codes, codes.new_tensor([goal_class])))
+    every = len(following) // 40 if len(following) >= 80 else 1
+    lengths = torch.arange(0, len(following), every, device=codes.device)
+    return PrefixSamples(codes.expand(len(lengths), -1), lengths, following[lengths])
+
+
 class AutoRegressiveModel(nn.Module):
     """Transformer without position code whose visible tokens all look at each other."""
 
