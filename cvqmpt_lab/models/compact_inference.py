@@ -30,13 +30,10 @@ class _Affine:
 
     @classmethod
     def of(cls, linear: nn.Linear, norm: nn.LayerNorm | None = None) -> "_Affine":
-        weight = linear.weight.detach().double().cpu()
-        bias = (
-            torch.zeros(len(weight)).double() if linear.bias is None else linear.bias.detach().double().cpu()
-        )
+        weight, bias = (tensor.detach().cpu().double() for tensor in (linear.weight, linear.bias))
         if norm is not None:
-            bias = bias + weight @ norm.bias.detach().double().cpu()
-            weight = weight * norm.weight.detach().double().cpu()
+            scale, shift = (tensor.detach().cpu().double() for tensor in (norm.weight, norm.bias))
+            weight, bias = weight * scale, bias + weight @ shift
         return cls(np.ascontiguousarray(weight.T.float().numpy()), bias.float().numpy())
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -64,13 +61,14 @@ class _Layer:
         return cls(layer.n_heads, width, layer.norm.eps, project, out)
 
     def __call__(self, tokens: np.ndarray, known: np.ndarray, place: int) -> np.ndarray:
-        """Map tokens (rows, t, d_model) that stand at `place` and after.
+        """Map tokens (rows * t, d_model), t of each row, that stand at `place` and after.
 
         known: (rows, 2, heads, length, d_k), filled up to `place`; takes the tokens' keys and values in.
         """
-        rows, t, _ = tokens.shape
+        rows = len(known)
+        t = len(tokens) // rows
         both = self.project(_normalised(tokens, self.epsilon))
-        projected = both[..., : self.attention_width].reshape(rows, t, 3, self.n_heads, -1)
+        projected = both[:, : self.attention_width].reshape(rows, t, 3, self.n_heads, -1)
         projected = projected.transpose(0, 2, 3, 1, 4)
         known[:, :, :, place : place + t] = projected[:, 1:]
         seen = known[:, :, :, : place + t]
@@ -81,16 +79,16 @@ class _Layer:
         np.exp(scores, out=scores)
         heads = scores @ seen[:, 1]
         heads /= np.add.reduce(scores, axis=-1, keepdims=True)
-        hidden = np.maximum(both[..., self.attention_width :], 0.0)
-        branches = np.concatenate((heads.transpose(0, 2, 1, 3).reshape(rows, t, -1), hidden), axis=-1)
+        hidden = np.maximum(both[:, self.attention_width :], 0.0)
+        branches = np.concatenate((heads.transpose(0, 2, 1, 3).reshape(rows * t, -1), hidden), axis=1)
         return tokens + self.out(branches)
 
 
 def _normalised(x: np.ndarray, epsilon: float) -> np.ndarray:
-    """Layer norm of x (..., d) without scale and shift."""
-    d = x.shape[-1]
-    y = x - np.add.reduce(x, axis=-1, keepdims=True) / d
-    y *= 1.0 / np.sqrt(np.add.reduce(y * y, axis=-1, keepdims=True) / d + epsilon)
+    """Layer norm of x (r, d) without scale and shift."""
+    d = x.shape[1]
+    y = x - np.add.reduce(x, axis=1, keepdims=True) / d
+    y *= 1.0 / np.sqrt(np.add.reduce(y * y, axis=1, keepdims=True) / d + epsilon)
     return y
 
 
@@ -147,7 +145,9 @@ class CachedDecoder:
         if self._length >= 0:
             raise InvalidInputError("this decoder was used before; make a fresh one for each search")
         self._length = 0
-        return self._logits(self._prefix, self._first - self._prefix.shape[1])
+        p = self._prefix.shape[1]
+        state = self._run(self._prefix.reshape(-1, self._prefix.shape[2]), self._first - p)
+        return self._classify(state[p - 1 :: p])
 
     def advance(self, parents: np.ndarray | None, codes: np.ndarray) -> np.ndarray:
         """Replace the rows; see `decoding.StepDecoder`.
@@ -166,7 +166,7 @@ class CachedDecoder:
             self._known = _with_room(self._known, _ROOM)
         tokens = self._weights.code_tokens[codes] + self._weights.positions[self._length]
         self._length += 1
-        return self._logits(tokens[:, None], self._first + self._length - 1)
+        return self._classify(self._run(tokens, self._first + self._length - 1))
 
     def _reorder(self, parents: np.ndarray) -> None:
         """Let rows continue their parents; what precedes the codes is the same for rows of one query."""
@@ -176,9 +176,12 @@ class CachedDecoder:
             codes = self._known[..., self._first : self._first + self._length, :]
             codes[:] = codes.take(parents, axis=1)
 
-    def _logits(self, tokens: np.ndarray, place: int) -> np.ndarray:
-        """Logits (rows, n_classes) at the last of tokens (rows, t, d_model)."""
+    def _run(self, tokens: np.ndarray, place: int) -> np.ndarray:
+        """Send tokens (rows * t, d_model), t of each row, through the layers."""
         for layer, known in zip(self._weights.layers, self._known, strict=True):
             tokens = layer(tokens, known, place)
-        last = _normalised(tokens[:, -1], self._weights.epsilon)
-        return self._weights.classify_normalised(last)
+        return tokens
+
+    def _classify(self, states: np.ndarray) -> np.ndarray:
+        """Logits (rows, n_classes) at states (rows, d_model)."""
+        return self._weights.classify_normalised(_normalised(states, self._weights.epsilon))

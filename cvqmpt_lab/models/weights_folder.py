@@ -100,6 +100,7 @@ def write_weights(
     folder = Path(folder)
     beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
     try:
+        shutil.rmtree(beside, ignore_errors=True)  # of a killed process that had this number
         beside.mkdir(parents=True)
         hashes = {name: _write_part(beside, name, module) for name, module in parts.items()}
         description = {
