@@ -116,7 +116,7 @@ class CompactInference:
     def decoder(self, scene: CompactScene, start: Tensor, goal: Tensor) -> "CachedDecoder":
         """Decoder for starts and goals (q, configuration_dim), queries grouped by scene."""
         times = rows_per_scene(len(start), len(scene.tokens.coarse.centres))
-        of_scene = scene.keys_values.cpu().numpy().repeat(times, axis=1)
+        of_scene = scene.keys_values.detach().cpu().numpy().repeat(times, axis=1)
         prefix = self._model.query_tokens(self._dictionary, start, goal)
         return CachedDecoder(self, of_scene, prefix.cpu().numpy())
 
