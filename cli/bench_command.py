@@ -10,7 +10,7 @@ from experiments.bench import BENCHES
 
 EXAMPLES = (
     "cvqmpt bench kernels",
-    "cvqmpt bench collision --json collision.json",
+    "cvqmpt bench collision --states 1000000 --json collision.json",
     "cvqmpt bench planners --problems 30",
 )
 
@@ -21,6 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--problems", type=positive_int, default=20, metavar="N", help="tuning problems to plan (20)"
     )
+    parser.add_argument(
+        "--states",
+        type=positive_int,
+        default=4000,
+        metavar="N",
+        help="collision: states of each kind in which both checkers are compared (4000)",
+    )
     parser.add_argument("--json", type=Path, metavar="F", help="write the figures as json too")
 
 
@@ -30,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         raise UnknownChoiceError("bench", args.bench, BENCHES)
     if args.json:
         writable_file(args.json)
-    figures = BENCHES[args.bench](args.problems)
+    figures = BENCHES[args.bench](args.problems, args.states)
     width = max(len(figure.name) for figure in figures)
     for figure in figures:
         spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""

@@ -13,7 +13,7 @@ COMMANDS = {
     "table": "render the tables of a results directory",
     "problems": "list or export the problems of a suite",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
-    "bench": "measure collision checks, projections and planners",
+    "bench": "measure kernels, collision checks, planners and free motions",
     "warmup": "compile all kernels ahead of time",
 }
 

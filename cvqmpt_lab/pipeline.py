@@ -1,7 +1,7 @@
 """The whole story of one planning run; newcomers start here."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,10 @@ def solve(
     sampler = sampler or Uniform(problem.robot.lower, problem.robot.upper)
     rng = np.random.default_rng(seed)
     plan = planner.plan(space, problem.start, problem.goals, sampler, budget, rng)
+    if space.doubtful:
+        plan = replace(
+            plan, detail=f"{plan.detail}; exact checks near {', '.join(space.doubtful)}".lstrip("; ")
+        )
     if plan.path is None:
         return Solution(problem, plan, None, None, goal_seconds)
     shorter = simplify(space, plan.path, rng, simplification)

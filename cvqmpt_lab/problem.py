@@ -16,6 +16,7 @@ manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-pro
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ class PlanningProblem:
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """The exact checker of this problem's world; closer than margin [m] counts as touching."""
-        return CollisionChecker(self.robot, self.scene, self.attachments, margin)
+        return _collision_checker(self.robot, self.scene, self.attachments, margin)
 
     def to_dict(self) -> dict:
         """Plain json form."""
@@ -179,6 +180,14 @@ class PlanningProblem:
             raise InvalidInputError(f"{path}: {error}") from error
 
 
+@lru_cache(maxsize=4)
+def _collision_checker(
+    robot: Robot, scene: Scene, attachments: tuple[Attachment, ...], margin: float
+) -> CollisionChecker:
+    """Building one takes 10 ms, and a problem is checked several times."""
+    return CollisionChecker(robot, scene, attachments, margin)
+
+
 def _mapping(value: object, field: str) -> dict:
     if not isinstance(value, dict):
         raise InvalidInputError(f"problem field {field!r} must be a json object, not {type(value).__name__}")
@@ -206,8 +215,8 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
     """
     checker = checker or problem.collision_checker()
     for label, q in problem.labelled_configurations():
-        pair = checker.colliding_pair(q)
-        if pair is not None:
+        if checker.in_collision(q):
+            pair = checker.colliding_pair(q)
             raise InvalidProblemError(
                 f"{problem.name}: {label} is in collision: {pair}; choose another configuration"
             )

@@ -1,59 +1,30 @@
 """Benchmarks: what things cost on this machine. Never a test; ratios within one run are what to quote."""
 
 import time
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, RegionConstraint, upright
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.kernels.compiling import driver
-from cvqmpt_lab.kernels.geometry import scene_geometry
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.projection import project_batch, projection_scratch
-from cvqmpt_lab.kernels.space import Space, state_valid
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planning.collision_arrays import cloud_specs, scene_specs
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.planning.table import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
-from cvqmpt_lab.scene.shapes import Box, PointCloud
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.collision import CollisionChecker
+from cvqmpt_lab.scene.random_scenes import random_scene
+from experiments.bench_collision import STATES, bench_collision
 from experiments.place_task import TUNING_ENVIRONMENTS, place_problem
+from experiments.timing import Figure, calibration, single, spread, timed
 
-REPEATS = 7
-STATES = 20_000
-
-
-class Figure(NamedTuple):
-    """One measured figure: median, smallest and largest over repeats."""
-
-    name: str
-    median: float
-    low: float
-    high: float
-    unit: str
-
-
-def _timed(name: str, call: Callable[[], object], per: int, unit: str = "us") -> Figure:
-    """Time a call REPEATS times after a first one; scale to one of `per` items."""
-    call()
-    seconds = []
-    for _ in range(REPEATS):
-        began = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - began)
-    scale = {"us": 1e6, "ms": 1e3}[unit] / per
-    return Figure(name, float(np.median(seconds)) * scale, min(seconds) * scale, max(seconds) * scale, unit)
-
-
-@driver
-def _states_valid(space, configurations, out):
-    for i in range(configurations.shape[0]):
-        out[i] = state_valid(space, configurations[i])
+BEST_OF_SECONDS = 2.0
+FIRST_RANDOM_SCENE = 700_000  # seeds of scenes that nothing else uses
 
 
 @driver
@@ -62,27 +33,18 @@ def _poses_of_all(kinematics, configurations, link_rotation, link_translation):
         forward_kinematics(kinematics, configurations[i], link_rotation, link_translation)
 
 
-@driver
-def _calibration_loop(n):
-    total = 0.0
-    for i in range(n):
-        total += np.sin(i * 1e-3)
-    return total
+def bench_kernels() -> list[Figure]:
+    """Forward kinematics and projection, one configuration at a time, and batches of constraint gradients."""
+    import torch
 
+    from cvqmpt_lab.prediction.constraint_function import squared_residual
 
-def calibration_ns() -> float:
-    """Nanoseconds per sine in a fixed compiled loop: compares machines and moments."""
-    return _timed("", lambda: _calibration_loop(100_000), 100_000).median * 1e3
-
-
-def bench_kernels(problems: int) -> list[Figure]:
-    """Forward kinematics and projection, one configuration at a time."""
     problem = _tuning_problems(1)[0]
     robot, constraint = problem.robot, RegionConstraint(problem.robot, (upright(),))
     rng = np.random.default_rng(0)
     uniform = robot.random_configurations(rng, STATES)
-    scratch = projection_scratch(robot.dof, constraint.dim)
     regions = constraint.regions()
+    scratch = projection_scratch(robot.dof, regions)
 
     def project(configurations: np.ndarray) -> Callable[[], object]:
         return lambda: project_batch(
@@ -93,82 +55,19 @@ def bench_kernels(problems: int) -> list[Figure]:
     project_batch(robot.kinematics, regions, on_manifold, TOLERANCE, MAX_ITERATIONS, scratch)
     near = on_manifold + rng.normal(0.0, 0.05 / np.sqrt(robot.dof), on_manifold.shape)
     poses = (np.zeros((robot.dof + 1, 3, 3)), np.zeros((robot.dof + 1, 3)))
+    batch = torch.from_numpy(uniform[:10_000]).requires_grad_()
+
+    def gradient() -> None:
+        batch.grad = None
+        squared_residual(constraint, batch).sum().backward()
+
     return [
-        Figure("calibration: sine", *3 * (calibration_ns(),), "ns"),
-        _timed("forward kinematics", lambda: _poses_of_all(robot.kinematics, uniform, *poses), STATES),
-        _timed("projection, 0.05 rad off the manifold", project(near), STATES),
-        _timed("projection, uniform sample", project(uniform), STATES),
+        calibration(),
+        timed("forward kinematics", lambda: _poses_of_all(robot.kinematics, uniform, *poses), STATES),
+        timed("projection, 0.05 rad off the manifold", project(near), STATES),
+        timed("projection, uniform sample", project(uniform), STATES),
+        timed("kinematics + residual + gradient, batch of 10 000 in torch", gradient, len(batch)),
     ]
-
-
-def bench_collision(problems: int) -> list[Figure]:
-    """State checks of either backend in the kitchen, and of the compiled one against obstacle count."""
-    problem = _tuning_problems(1)[0]
-    rng = np.random.default_rng(0)
-    states = problem.robot.random_configurations(rng, STATES)
-    space = ConstrainedSpace(problem)
-    free = np.zeros(STATES, dtype=bool)
-    _states_valid(space.arrays, states, free)
-    exact = problem.collision_checker()
-    some_free = states[free][:1000]
-    figures = [
-        _check_time("kitchen, all states", space.arrays, states),
-        _check_time("kitchen, free states", space.arrays, states[free]),
-        _timed("kitchen, free states, coal from Python", lambda: exact.in_collision_batch(some_free), 1000),
-        *_agreement(problem, states[:4000], free[:4000]),
-    ]
-    for count in (10, 100, 1000, 10_000):
-        figures += _crowded(problem, f"{count} boxes", _random_boxes(count, rng), space)
-    for count in (10**3, 10**4, 10**5, 10**6):
-        points = _shell_points(count, rng)
-        figures += _crowded(
-            problem, f"cloud of {count} points", cloud_specs(PointCloud(points, 0.005), np.eye(4)), space
-        )
-    return figures
-
-
-def _check_time(name: str, arrays: Space, states: np.ndarray) -> Figure:
-    out = np.zeros(len(states), dtype=bool)
-    return _timed(f"state check: {name}", lambda: _states_valid(arrays, states, out), len(states))
-
-
-def _agreement(problem: PlanningProblem, states: np.ndarray, compiled_free: np.ndarray) -> list[Figure]:
-    """States in which the compiled checker and coal differ."""
-    exact_free = ~problem.collision_checker().in_collision_batch(states)
-    missed = int((compiled_free & ~exact_free).sum())
-    extra = 100.0 * (~compiled_free & exact_free).sum() / max(exact_free.sum(), 1)
-    return [
-        Figure("collisions called free, of 4000 states", *3 * (float(missed),), "states"),
-        Figure("free states called colliding", *3 * (float(extra),), "%"),
-    ]
-
-
-def _crowded(problem: PlanningProblem, name: str, specs: list, space: ConstrainedSpace) -> list[Figure]:
-    """Building and checking against many obstacles."""
-    reach = np.full(3, problem.robot.reach)
-    began = time.perf_counter()
-    geometry = scene_geometry(specs, -reach, reach)
-    build = 1e3 * (time.perf_counter() - began)
-    states = problem.robot.random_configurations(np.random.default_rng(1), STATES // 4)
-    return [
-        Figure(f"grid building: {name}", *3 * (build,), "ms"),
-        _check_time(name, space.arrays._replace(scene=geometry), states),
-    ]
-
-
-def _random_boxes(count: int, rng: np.random.Generator) -> list:
-    """Boxes on a shell around the robot, total volume kept: many small or few large."""
-    edge = 0.4 * (10.0 / count) ** (1.0 / 3.0)
-    positions = _shell_points(count, rng)
-    objects = tuple(SceneObject(f"box{i}", Box((edge,) * 3), pose(p)) for i, p in enumerate(positions))
-    return scene_specs(Scene("boxes", objects))
-
-
-def _shell_points(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points 0.7 to 1.1 m from the shoulder."""
-    direction = rng.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return direction * rng.uniform(0.7, 1.1, (count, 1)) + (0.0, 0.0, 0.33)
 
 
 def bench_planners(problems: int) -> list[Figure]:
@@ -200,22 +99,14 @@ def _plan_figures(name: str, cases: list[PlanningProblem]) -> list[Figure]:
             final.append(shorter.path.length)
             simplifying.append(shorter.seconds)
     return [
-        _spread(f"{name}: plan", 1e3 * np.array(seconds), "ms"),
-        _spread(f"{name}: simplify", 1e3 * np.array(simplifying), "ms"),
-        _spread(f"{name}: projections", np.array(projections), ""),
-        _spread(f"{name}: state checks", np.array(checks), ""),
-        _spread(f"{name}: raw length", np.array(raw), "rad"),
-        _spread(f"{name}: final length", np.array(final), "rad"),
-        Figure(f"{name}: solved of {len(seconds)}", *3 * (float(np.isfinite(seconds).sum()),), ""),
+        spread(f"{name}: plan", 1e3 * np.array(seconds), "ms"),
+        spread(f"{name}: simplify", 1e3 * np.array(simplifying), "ms"),
+        spread(f"{name}: projections", np.array(projections), ""),
+        spread(f"{name}: state checks", np.array(checks), ""),
+        spread(f"{name}: raw length", np.array(raw), "rad"),
+        spread(f"{name}: final length", np.array(final), "rad"),
+        single(f"{name}: solved of {len(seconds)}", np.isfinite(seconds).sum(), ""),
     ]
-
-
-def _spread(name: str, values: np.ndarray, unit: str) -> Figure:
-    """Median with the 5th and 95th percentile."""
-    if len(values) == 0:
-        return Figure(name, np.nan, np.nan, np.nan, unit)
-    low, median, high = np.quantile(values, (0.05, 0.5, 0.95), method="nearest")
-    return Figure(name, float(median), float(low), float(high), unit)
 
 
 def _tuning_problems(count: int) -> list[PlanningProblem]:
@@ -224,8 +115,63 @@ def _tuning_problems(count: int) -> list[PlanningProblem]:
     return [with_sampled_goals(problem)[0] for problem in problems if isinstance(problem, PlanningProblem)]
 
 
-BENCHES: Mapping[str, Callable[[int], list[Figure]]] = {
-    "kernels": bench_kernels,
-    "collision": bench_collision,
-    "planners": bench_planners,
+def bench_unconstrained(problems: int) -> list[Figure]:
+    """Free paths among random cubes and spheres: the first one, the shortened one, and how far from the best."""
+    planner, first, total, excess, solved = planner_named("birrt"), [], [], [], 0
+    for index, problem in enumerate((next(_random_problems(1)), *_random_problems(problems))):
+        space = ConstrainedSpace(problem)
+        uniform = Uniform(problem.robot.lower, problem.robot.upper)
+        rng = np.random.default_rng(index)
+        plan = planner.plan(space, problem.start, problem.goals, uniform, Budget(seconds=2.0), rng)
+        if plan.path is None or index == 0:
+            continue
+        solved += 1
+        shorter = simplify(space, plan.path, rng)
+        first.append(plan.seconds)
+        total.append(plan.seconds + shorter.seconds)
+        excess.append(100.0 * (shorter.path.length / _best_length(space, problem, uniform, rng) - 1.0))
+    return [
+        calibration(),
+        spread("random scenes: first path", 1e3 * np.array(first), "ms"),
+        spread("random scenes: shortened path", 1e3 * np.array(total), "ms"),
+        spread(f"random scenes: longer than the best of {BEST_OF_SECONDS:g} s", np.array(excess), "%"),
+        single(f"random scenes: solved of {problems}", solved, ""),
+    ]
+
+
+def _best_length(
+    space: ConstrainedSpace, problem: PlanningProblem, uniform: Uniform, rng: np.random.Generator
+) -> float:
+    """Length [rad] of the shortest of all paths planned and shortened in BEST_OF_SECONDS."""
+    best, began = np.inf, time.perf_counter()
+    settings = SimplifySettings(attempts=1024, patience=16)
+    while (left := BEST_OF_SECONDS - (time.perf_counter() - began)) > 0:
+        plan = planner_named("birrt").plan(
+            space, problem.start, problem.goals, uniform, Budget(seconds=left), rng
+        )
+        if plan.path is not None:
+            best = min(best, simplify(space, plan.path, rng, settings).path.length)
+    return best
+
+
+def _random_problems(count: int) -> Iterator[PlanningProblem]:
+    """Start and goal uniform among 8 cubes and 8 spheres, where the straight motion is not free."""
+    robot = panda()
+    number = 0
+    while count > 0:
+        scene, number = random_scene(FIRST_RANDOM_SCENE + number), number + 1
+        rng = np.random.default_rng(number)
+        checker = CollisionChecker(robot, scene, margin=0.001)
+        states = [q for q in robot.random_configurations(rng, 64) if not checker.in_collision(q)]
+        if len(states) < 2 or not checker.in_collision_batch(np.linspace(*states[:2], 64)).any():
+            continue
+        count -= 1
+        yield PlanningProblem(f"random {number}", robot, scene, states[0], states[1][None])
+
+
+BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
+    "kernels": lambda problems, states: bench_kernels(),
+    "collision": lambda problems, states: bench_collision(_tuning_problems(1)[0], states),
+    "planners": lambda problems, states: bench_planners(problems),
+    "unconstrained": lambda problems, states: bench_unconstrained(problems),
 }

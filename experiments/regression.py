@@ -17,7 +17,6 @@ from cvqmpt_lab.evaluation.metrics import result_row
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget, PlanStatus
-from cvqmpt_lab.planning.simplify import SimplifySettings
 from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import place_problem
@@ -135,7 +134,6 @@ def run_case(case: Case) -> Outcome:
         planner_named(case.planner),
         Budget(iterations=case.iterations),
         case.seed,
-        simplification=SimplifySettings(seconds=1e9),
         clearance=False,
     )
     row = result_row(SUITE, case.planner, case.seed, "compiled", solution, goal_seconds=0.0)

@@ -8,13 +8,10 @@ import numpy as np
 from cvqmpt_lab.kernels.compiling import compiled_before
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.simplify import SimplifySettings
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import place_problem
-
-PATIENT = SimplifySettings(seconds=1e9)
 
 
 def compile_kernels(announce: Callable[[str], None]) -> float:
@@ -32,7 +29,6 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
         planner_named("birrt"),
         Budget(iterations=1000),
         seed=0,
-        simplification=PATIENT,
         clearance=False,
     )
     space = ConstrainedSpace(problem)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.constraints.inverse_kinematics import solve_pose
+from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
 from cvqmpt_lab.constraints.task_space_region import (
     MAX_ITERATIONS,
     TOLERANCE,
@@ -29,7 +29,7 @@ def project_all(robot, regions, configurations):
     """Projected copies and Newton iterations of the batch kernel."""
     q = configurations.copy()
     arrays = stack_regions(robot, regions)
-    scratch = projection_scratch(robot.dof, len(arrays.axis))
+    scratch = projection_scratch(robot.dof, arrays)
     return q, project_batch(robot.kinematics, arrays, q, TOLERANCE, MAX_ITERATIONS, scratch)
 
 
@@ -97,10 +97,10 @@ def test_inverse_kinematics_reaches_the_pose(panda):
     solved = 0
     for q in 0.8 * panda.random_configurations(rng, 20) + 0.1 * (panda.lower + panda.upper):
         T = panda.pose(q)
-        solutions = solve_pose(panda, T, rng)
+        solutions = solve_poses(panda, T[None], rng)[0]
         solved += len(solutions) > 0
         for solution in solutions:
             np.testing.assert_allclose(panda.pose(solution), T, atol=2e-6)
             assert panda.joint_outside_limits(solution) is None
     assert solved >= 18
-    assert len(solve_pose(panda, UNREACHABLE.T0_w, rng)) == 0
+    assert len(solve_poses(panda, UNREACHABLE.T0_w[None], rng)[0]) == 0

@@ -23,6 +23,9 @@ class Constraint(Protocol):
     def jacobian(self, q: np.ndarray, full: bool = False) -> np.ndarray:
         """dF/dq, (m, n) or (b, m, n); rows inside their bounds are zero unless full."""
 
+    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Both at once, for the price of little more than one."""
+
     def project(self, q: np.ndarray) -> np.ndarray | None:
         """The configuration on the manifold that Newton's method reaches from q, or None."""
 

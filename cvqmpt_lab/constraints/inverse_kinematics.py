@@ -9,26 +9,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, stack_regions
-from cvqmpt_lab.kernels.projection import project_batch, projection_scratch
+from cvqmpt_lab.kernels.projection import projection_scratch, reach_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.collision import CollisionChecker
 
 TOLERANCE = 1e-6  # [m, rad] on the pose
-MAX_ITERATIONS = 25
-BATCH = 16
+MAX_ITERATIONS = 20
+ATTEMPTS = 12  # random configurations Newton's method starts from, per pose
+POSES = 25  # drawn at once
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
-BATCHES_PER_POSE = 2
 
 
-def solve_pose(
-    robot: Robot, T_world_e: np.ndarray, rng: np.random.Generator, attempts: int = BATCH
-) -> np.ndarray:
-    """Configurations (k, n) inside the limits that reach a pose, from random starts; k <= attempts."""
-    regions = stack_regions(robot, (TaskSpaceRegion(T_world_e, np.eye(4), np.zeros((6, 2))),))
-    configurations = robot.random_configurations(rng, attempts)
-    scratch = projection_scratch(robot.dof, 6)
-    iterations = project_batch(robot.kinematics, regions, configurations, TOLERANCE, MAX_ITERATIONS, scratch)
-    return configurations[iterations >= 0]
+def solve_poses(
+    robot: Robot, poses: np.ndarray, rng: np.random.Generator, attempts: int = ATTEMPTS
+) -> list[np.ndarray]:
+    """Configurations inside the limits that reach end-effector poses (k, 4, 4): k arrays (<= attempts, n)."""
+    regions = stack_regions(robot, (TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2))),))
+    configurations = robot.random_configurations(rng, len(poses) * attempts).reshape(len(poses), attempts, -1)
+    reached = reach_poses(
+        robot.kinematics,
+        regions,
+        np.ascontiguousarray(poses[:, :3, :3]),
+        np.ascontiguousarray(poses[:, :3, 3]),
+        configurations,
+        TOLERANCE,
+        MAX_ITERATIONS,
+        projection_scratch(robot.dof, regions),
+    )
+    return [rows[iterations >= 0] for rows, iterations in zip(configurations, reached, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -59,18 +67,16 @@ def sample_region(
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
-        tried += 1
-        T_world_e = region.sample_pose(rng)
-        reachable = False
-        for _ in range(BATCHES_PER_POSE):
-            candidates = solve_pose(robot, T_world_e, rng, BATCH)
-            reachable = reachable or len(candidates) > 0
+        poses = np.array([region.sample_pose(rng) for _ in range(min(POSES, max_poses - tried))])
+        for candidates in solve_poses(robot, poses, rng):
+            tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
             if free is not None:
                 found.append(free)
+            else:
+                unreachable += len(candidates) == 0
+                colliding += len(candidates) > 0
+            if len(found) == count:
                 break
-        else:
-            unreachable += not reachable
-            colliding += reachable
     configurations = np.array(found).reshape(-1, robot.dof)
     return GoalSample(configurations, tried, unreachable, colliding)

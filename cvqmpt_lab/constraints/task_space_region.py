@@ -140,13 +140,14 @@ class RegionConstraint:
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         """Signed distance outside the bounds, (m,) or (b, m) [m, rad]."""
-        return self._evaluate(q, False)[0]
+        return self.residual_and_jacobian(q)[0]
 
     def jacobian(self, q: np.ndarray, full: bool = False) -> np.ndarray:
         """Derivative of the residual, (m, n) or (b, m, n)."""
-        return self._evaluate(q, full)[1]
+        return self.residual_and_jacobian(q, full)[1]
 
-    def _evaluate(self, q: np.ndarray, full: bool) -> tuple[np.ndarray, np.ndarray]:
+    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Both, (m,) and (m, n) or (b, m) and (b, m, n)."""
         batch = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
         residual, jacobian = batch_residual_and_jacobian(self.robot.kinematics, self.regions(), batch, full)
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
@@ -156,8 +157,9 @@ class RegionConstraint:
     ) -> np.ndarray | None:
         """Algorithm 1 of the paper with its missing inverse, inside the joint limits; None when it fails."""
         q = np.array(q, dtype=float)
-        scratch = projection_scratch(self.robot.dof, self.dim)
-        iterations = project(self.robot.kinematics, self.regions(), q, tolerance, max_iterations, scratch)
+        regions = self.regions()
+        scratch = projection_scratch(self.robot.dof, regions)
+        iterations = project(self.robot.kinematics, regions, q, tolerance, max_iterations, scratch)
         return q if iterations >= 0 else None
 
     def regions(self) -> Regions:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.compiling import kernel, thin
 from cvqmpt_lab.kernels.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
 from cvqmpt_lab.kernels.space import ITERATIONS
 
@@ -47,7 +47,7 @@ def nearest_node(nodes, size, target):
     return index
 
 
-@kernel
+@thin
 def extend(space, nodes, parent, size, which, origin, target, reach):
     """ConstrainedExtend: walk from node origin towards target (n,), adding every state to the tree.
 

@@ -11,7 +11,7 @@ from numba.experimental import structref
 from cvqmpt_lab.kernels.compiling import driver
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.space import Space, project_state, state_valid
-from cvqmpt_lab.kernels.task_space_region import residual_and_jacobian
+from cvqmpt_lab.kernels.task_space_region import jacobian, residual
 
 
 @structref.register
@@ -49,18 +49,21 @@ def valid_one(bound, q):
 
 
 @driver
-def constraint_one(bound, q, full, residual, jacobian):
-    """Write F(q) into residual (m,) and dF/dq into jacobian (m, n)."""
-    space = bound.space
-    forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
-    residual_and_jacobian(
+def constraint_one(bound, q, full, out_residual, out_jacobian):
+    """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
+    space, scratch = bound.space, bound.space.scratch
+    rotation, translation = scratch.link_rotation, scratch.link_translation
+    forward_kinematics(space.kinematics, q, rotation, translation)
+    residual(space.regions, rotation, translation, out_residual, scratch.displacement)
+    jacobian(
         space.kinematics,
         space.regions,
-        space.scratch.link_rotation,
-        space.scratch.link_translation,
+        rotation,
+        translation,
+        scratch.displacement,
         full,
-        residual,
-        jacobian,
+        out_residual,
+        out_jacobian,
     )
 
 

@@ -8,7 +8,7 @@ finite count as collisions.
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
 from cvqmpt_lab.kernels.distance_grid import cell_of, known_distance
 from cvqmpt_lab.kernels.separation import compose, point_separated, separated
 
@@ -56,7 +56,7 @@ def _world_in_link(r, t, link):
     )
 
 
-@inlined
+@thin
 def _way_out(bounds, i, x, y, z):
     """World vector from the nearest point of item i's box to a point [m]; zero inside."""
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
@@ -86,7 +86,7 @@ def _touches_points(pieces, piece, points, first, last, radius, pose, centre, re
     return False
 
 
-@inlined
+@thin
 def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin):
     """First item within margin of the piece in leaf node, whose ball is centred on x, y, z; or FREE."""
     piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
@@ -122,7 +122,7 @@ def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, m
     return FREE
 
 
-@inlined
+@thin
 def _obstacle_contact(r, t, robot, scene, body, margin):
     """(geometry, obstacle) of the first contact of a body, or (FREE, FREE)."""
     link = robot.body_link[body]
@@ -144,7 +144,7 @@ def _obstacle_contact(r, t, robot, scene, body, margin):
     return FREE, FREE
 
 
-@inlined
+@thin
 def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
     """First piece of body other within margin of a piece with ball (x, y, z, radius), or FREE.
 
@@ -166,7 +166,7 @@ def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
     return FREE
 
 
-@inlined
+@thin
 def _body_contact(r, t, robot, a, b, xa, ya, za, margin):
     """Geometries of the first contact of two bodies, or (FREE, FREE).
 
@@ -222,10 +222,3 @@ def first_contact(link_rotation, link_translation, robot, scene, margin):
         if geometry != FREE:
             return geometry, -1 - other
     return FREE, FREE
-
-
-@inlined
-def state_in_collision(link_rotation, link_translation, robot, scene, margin):
-    """Return whether the robot with these link poses is within margin [m] of an obstacle or of itself."""
-    geometry, _ = first_contact(link_rotation, link_translation, robot, scene, margin)
-    return geometry != FREE

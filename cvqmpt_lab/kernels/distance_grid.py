@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.kernels.compiling import driver, inlined, kernel
 
 RANGE = 0.3  # [m] distances are cut off here
-REACH = 0.10  # [m] largest ball whose neighbours are listed
+REACH = 0.13  # [m] largest ball whose neighbours are listed
 COARSE = 8  # cells along the edge of the coarsest block
 _STEP = RANGE / 255.0  # [m] of a stored byte
 _ROUNDING = 1e-9  # [m] more than the rounding of a computed distance

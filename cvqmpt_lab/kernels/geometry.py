@@ -19,6 +19,7 @@ from cvqmpt_lab.kernels.distance_grid import (
     DistanceGrid,
     distance_grid,
 )
+from cvqmpt_lab.kernels.kinematics import Kinematics
 from cvqmpt_lab.kernels.point_clusters import Cloud, PointClusters, cluster_points
 from cvqmpt_lab.kernels.separation import BOX, CYLINDER, HULL, ConvexShapes
 from cvqmpt_lab.kernels.shapes import ShapeSpec, outline, pack_shapes
@@ -36,6 +37,7 @@ class RobotGeometry(NamedTuple):
     sphere, skip, leaf: balls of all bodies, see `SphereTree`; leaf counts pieces.
     body_link, body_start, body_end: (b,) pose row and range of balls of each body.
     order: bodies to check against obstacles, tip first. pairs: (k, 2) bodies to check against each other.
+    largest: radius of the largest ball at a leaf [m].
     """
 
     pieces: ConvexShapes
@@ -48,6 +50,7 @@ class RobotGeometry(NamedTuple):
     body_end: np.ndarray
     order: np.ndarray
     pairs: np.ndarray
+    largest: float
 
 
 class SceneGeometry(NamedTuple):
@@ -103,20 +106,38 @@ def robot_geometry(
     start = end - [len(tree.leaf) for tree in trees]
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
     order = [b for b in np.argsort(-rows, kind="stable") if matter[bodies[b][0]]]
+    sphere = np.concatenate([np.empty((0, 4)), *(tree.sphere for tree in trees)])
+    leaf = np.concatenate([np.empty(0, np.int64), *(tree.leaf for tree in trees)])
     return RobotGeometry(
         pieces=pack_shapes(piece_specs),
         owner=np.array(owner, dtype=np.int64),
-        sphere=np.concatenate([np.empty((0, 4)), *(tree.sphere for tree in trees)]),
+        sphere=sphere,
         skip=np.concatenate(
             [np.empty(0, np.int64), *(t.skip + s for t, s in zip(trees, start, strict=True))]
         ),
-        leaf=np.concatenate([np.empty(0, np.int64), *(tree.leaf for tree in trees)]),
+        leaf=leaf,
         body_link=rows,
         body_start=start.astype(np.int64),
         body_end=end,
         order=np.array(order, dtype=np.int64),
         pairs=np.array(body_pairs, dtype=np.int64).reshape(-1, 2),
+        largest=float(sphere[leaf >= 0, 3].max(initial=0.0)),
     )
+
+
+def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
+    """Return how far any point of the robot can move per unit of each joint (n,) [m/rad, or 1 for sliders]."""
+    n = len(kinematics.parent)
+    extent = np.zeros(n + 1)  # of what hangs on each pose row, from its origin
+    for row, first in zip(robot.body_link, robot.body_start, strict=True):
+        ball = robot.sphere[first]
+        extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
+    for j in reversed(range(n)):
+        slide = max(abs(kinematics.lower[j]), abs(kinematics.upper[j])) if kinematics.prismatic[j] else 0.0
+        step = np.linalg.norm(kinematics.translation[j]) + slide
+        up = kinematics.parent[j]
+        extent[up] = max(extent[up], step + extent[j + 1])
+    return np.where(kinematics.prismatic, 1.0, extent[1:])
 
 
 def _bodies(

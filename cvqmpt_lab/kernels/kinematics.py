@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import driver, inlined
+from cvqmpt_lab.kernels.trigonometry import sine_and_cosine
 
 
 class Kinematics(NamedTuple):
@@ -52,17 +53,22 @@ def forward_kinematics(kinematics, q, link_rotation, link_translation):
         if kinematics.prismatic[j]:
             cosine, sine, slide = 1.0, 0.0, q[j]
         else:
-            cosine, sine, slide = np.cos(q[j]), np.sin(q[j]), 0.0
+            sine, cosine = sine_and_cosine(q[j])
+            slide = 0.0
+        z0, z1, z2 = turn[j, 0, 2], turn[j, 1, 2], turn[j, 2, 2]
+        x0 = cosine * turn[j, 0, 0] + sine * turn[j, 0, 1]
+        x1 = cosine * turn[j, 1, 0] + sine * turn[j, 1, 1]
+        x2 = cosine * turn[j, 2, 0] + sine * turn[j, 2, 1]
+        y0 = cosine * turn[j, 0, 1] - sine * turn[j, 0, 0]
+        y1 = cosine * turn[j, 1, 1] - sine * turn[j, 1, 0]
+        y2 = cosine * turn[j, 2, 1] - sine * turn[j, 2, 0]
+        o0, o1, o2 = offset[j, 0] + slide * z0, offset[j, 1] + slide * z1, offset[j, 2] + slide * z2
         for a in range(3):
             r0, r1, r2 = link_rotation[up, a, 0], link_rotation[up, a, 1], link_rotation[up, a, 2]
-            x = r0 * turn[j, 0, 0] + r1 * turn[j, 1, 0] + r2 * turn[j, 2, 0]
-            y = r0 * turn[j, 0, 1] + r1 * turn[j, 1, 1] + r2 * turn[j, 2, 1]
-            z = r0 * turn[j, 0, 2] + r1 * turn[j, 1, 2] + r2 * turn[j, 2, 2]
-            link_rotation[j + 1, a, 0] = cosine * x + sine * y
-            link_rotation[j + 1, a, 1] = cosine * y - sine * x
-            link_rotation[j + 1, a, 2] = z
-            shift = r0 * offset[j, 0] + r1 * offset[j, 1] + r2 * offset[j, 2] + slide * z
-            link_translation[j + 1, a] = link_translation[up, a] + shift
+            link_rotation[j + 1, a, 0] = r0 * x0 + r1 * x1 + r2 * x2
+            link_rotation[j + 1, a, 1] = r0 * y0 + r1 * y1 + r2 * y2
+            link_rotation[j + 1, a, 2] = r0 * z0 + r1 * z1 + r2 * z2
+            link_translation[j + 1, a] = link_translation[up, a] + r0 * o0 + r1 * o1 + r2 * o2
 
 
 @driver

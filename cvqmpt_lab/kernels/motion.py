@@ -2,18 +2,19 @@
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
-from cvqmpt_lab.kernels.space import posed_state_valid, project_state, state_valid
-from cvqmpt_lab.kernels.task_space_region import residual_and_jacobian
+from cvqmpt_lab.kernels.space import posed_state_valid, project_state
+from cvqmpt_lab.kernels.task_space_region import residual
 
 STOPPED, ADVANCED, REACHED = range(3)
 DEVIATION = (
     2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
 )
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-CHORD = 5e-4  # [m, rad] a straight motion between two states may leave the planned bounds by this
+CHORD = 5e-4  # [m, rad] a straight motion between two states may leave the planned bounds by this, |F|
 MOST_HALVINGS = 8
+NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
 
@@ -51,7 +52,7 @@ def step_towards(space, origin, target, allowance, out):
     left = distance(out, target)
     if moved > DEVIATION * space.step or moved > allowance or left >= remaining or moved < CLOSE:
         return STOPPED
-    if not posed_state_valid(space, out):
+    if not posed_state_valid(space, out, 0.0):
         return STOPPED
     return REACHED if left < CLOSE else ADVANCED
 
@@ -83,7 +84,7 @@ def bisect_motion(space, origin, target, longest, out):
             for j in range(target.shape[0]):
                 left = origin[j] if k == half else out[k - half - 1, j]
                 out[k - 1, j] = 0.5 * (left + out[k + half - 1, j])
-            if not project_state(space, out[k - 1]) or not posed_state_valid(space, out[k - 1]):
+            if not project_state(space, out[k - 1]) or not posed_state_valid(space, out[k - 1], 0.0):
                 return 0
         stride = half
     length = distance(origin, out[0])
@@ -97,52 +98,94 @@ def bisect_motion(space, origin, target, longest, out):
     return pieces
 
 
+@thin
+def _place_between(space, a, b, fraction):
+    """Put the state at a fraction of the straight joint motion from a to b into space.state; pose its links."""
+    for j in range(a.shape[0]):
+        space.state[j] = a[j] + fraction * (b[j] - a[j])
+    forward_kinematics(
+        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
+    )
+
+
+@thin
+def _near_half_turn(space):
+    """Whether a region of the state whose residual was asked last is turned by almost pi."""
+    displacement = space.scratch.displacement
+    for k in range(displacement.shape[0]):
+        x, y, z = displacement[k, 6], displacement[k, 7], displacement[k, 8]
+        if x * x + y * y + z * z > NEAR_HALF_TURN * NEAR_HALF_TURN:
+            return True
+    return False
+
+
 @kernel
 def chord_on_manifold(space, a, b):
     """Whether the straight joint motion between two states on the manifold stays within CHORD of it.
 
-    Looked at every space.resolution: the middle is not always worst, the rotation vector has a kink at angle pi.
+    The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the motion is
+    looked at every space.resolution.
     """
-    residual = space.scratch.residual
-    if residual.shape[0] == 0:
+    scratch = space.scratch
+    if scratch.residual.shape[0] == 0:
         return True
-    rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
-    pieces = int(np.ceil(distance(a, b) / space.resolution))
-    for k in range(1, pieces):
-        fraction = k / pieces
-        for j in range(a.shape[0]):
-            space.state[j] = a[j] + fraction * (b[j] - a[j])
-        forward_kinematics(space.kinematics, space.state, rotation, translation)
-        residual_and_jacobian(
-            space.kinematics, space.regions, rotation, translation, False, residual, space.scratch.jacobian
+    k, pieces = 1, 2
+    while k < pieces:
+        _place_between(space, a, b, k / pieces)
+        violation = residual(
+            space.regions,
+            scratch.link_rotation,
+            scratch.link_translation,
+            scratch.residual,
+            scratch.displacement,
         )
-        for i in range(residual.shape[0]):
-            if abs(residual[i]) > CHORD:
-                return False
+        if violation > CHORD * CHORD:
+            return False
+        k += 1
+        if pieces == 2 and _near_half_turn(space):
+            k, pieces = 1, max(3, int(np.ceil(distance(a, b) / space.resolution)))
     return True
 
 
 @kernel
 def motion_free(space, a, b):
-    """Whether b and the straight joint motion towards it are free of collision at space.resolution."""
-    if not state_valid(space, b):
-        return False
-    pieces = int(np.ceil(distance(a, b) / space.resolution))
-    stride = 1
-    while stride < pieces:
-        stride *= 2
-    while stride > 1:  # coarse to fine: a collision is found early
-        for k in range(stride // 2, pieces, stride):
-            fraction = k / pieces
-            for j in range(a.shape[0]):
-                space.state[j] = a[j] + fraction * (b[j] - a[j])
-            if not state_valid(space, space.state):
-                return False
-        stride //= 2
+    """Whether b and the straight joint motion towards it are free of collision.
+
+    A stretch is free when the robot at its middle keeps a distance that no point of it can cover in half
+    the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until they are as
+    short as space.resolution; then their ends alone are checked. The exact backend, which knows no
+    distances, checks every space.resolution.
+    """
+    pieces, sweep = 1, 0.0
+    while distance(a, b) > space.resolution * pieces:
+        pieces *= 2
+    for j in range(a.shape[0]):
+        sweep += abs(b[j] - a[j]) * space.swing[j]
+    half = 0.5 * sweep / pieces  # [m] no point moves further in half a piece
+    widest = 1 if space.exact else pieces
+    done, span = -1, 1  # pieces found free, after the end itself; length of the stretch looked at
+    while done < pieces:
+        if done < 0:
+            place, clearance = 1.0, 0.0
+        elif span == 1:
+            place, clearance = (done + 1) / pieces, 0.0
+        else:
+            place, clearance = (done + 0.5 * span) / pieces, half * span
+        free = clearance <= space.scene.reach - space.robot.largest or span == 1
+        if free and not (span == 1 and done + 1 == pieces):
+            _place_between(space, a, b, place)
+            free = posed_state_valid(space, space.state, clearance)
+        if free:
+            done += span
+            span = min(done & -done, widest) if done > 0 else widest  # as far as the tree of halves allows
+        elif span == 1:
+            return False
+        else:
+            span //= 2
     return True
 
 
-@inlined
+@thin
 def segment_valid(space, a, b):
     """Whether the straight joint motion between a and b stays close to the manifold and is free."""
     return chord_on_manifold(space, a, b) and motion_free(space, a, b)

@@ -1,6 +1,6 @@
 """Shortcutting on the constraint manifold: the simplification that every planner's path goes through."""
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import kernel, thin
 from cvqmpt_lab.kernels.motion import bisect_motion, distance, segment_valid
 
 KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
@@ -45,7 +45,7 @@ def _replace(states, count, a, b, detour, size):
     return count + shift
 
 
-@inlined
+@thin
 def _shorter_motion(space, states, a, b, detour):
     """Write a direct, free motion from states[a] to states[b] into detour if it is shorter; its size or 0."""
     if b - a < 2:

@@ -11,14 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from cvqmpt_lab.kernels.collision import state_in_collision
-from cvqmpt_lab.kernels.compiling import inlined
+from cvqmpt_lab.kernels.collision import FREE, first_contact
+from cvqmpt_lab.kernels.compiling import thin
 from cvqmpt_lab.kernels.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.kernels.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.projection import ProjectionScratch, project
 from cvqmpt_lab.kernels.task_space_region import Regions
 
 PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of Space.counters
+DOUBT = 0.2  # [rad] around a doubtful configuration
 
 
 class StateCheck(types.WrapperAddressProtocol):
@@ -68,6 +69,9 @@ class Space(NamedTuple):
     step: longest motion between neighbouring states [rad]; margin: kept from obstacles [m].
     resolution: spacing of the final collision check of a motion [rad].
     exact, check, query: use the callback, the callback, and the array through which it is asked.
+    doubtful: (k, n) configurations that the compiled checker blocks but the meshes allow: near them a
+        state that it calls colliding is asked for again through the callback.
+    swing: (n,) no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad].
     counters: (4,) int64, rows PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS.
     state: (n,) work array.
     """
@@ -84,12 +88,14 @@ class Space(NamedTuple):
     exact: bool
     check: StateCheck
     query: np.ndarray
+    doubtful: np.ndarray
+    swing: np.ndarray
     counters: np.ndarray
     state: np.ndarray
     scratch: ProjectionScratch
 
 
-@inlined
+@thin
 def project_state(space, q):
     """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
     iterations = project(
@@ -101,21 +107,39 @@ def project_state(space, q):
     return iterations >= 0
 
 
-@inlined
-def posed_state_valid(space, q):
-    """Whether q, whose link poses are in the scratch, is free of collision."""
-    space.counters[STATE_CHECKS] += 1
-    if space.exact:
+@thin
+def _near_doubtful(space, q):
+    """Whether q (n,) lies within DOUBT of a doubtful configuration."""
+    for i in range(space.doubtful.shape[0]):
+        square = 0.0
         for j in range(q.shape[0]):
-            space.query[j] = q[j]
-        return space.check()
-    return not state_in_collision(
-        space.scratch.link_rotation, space.scratch.link_translation, space.robot, space.scene, space.margin
-    )
+            square += (q[j] - space.doubtful[i, j]) * (q[j] - space.doubtful[i, j])
+        if square < DOUBT * DOUBT:
+            return True
+    return False
 
 
-@inlined
+@thin
+def posed_state_valid(space, q, clearance):
+    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact: the margin)."""
+    space.counters[STATE_CHECKS] += 1
+    if not space.exact:
+        geometry, _ = first_contact(
+            space.scratch.link_rotation,
+            space.scratch.link_translation,
+            space.robot,
+            space.scene,
+            space.margin + clearance,
+        )
+        if geometry == FREE or clearance > 0.0 or not _near_doubtful(space, q):
+            return geometry == FREE
+    for j in range(q.shape[0]):
+        space.query[j] = q[j]
+    return space.check()
+
+
+@thin
 def state_valid(space, q):
     """Whether q (n,) is free of collision."""
     forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
-    return posed_state_valid(space, q)
+    return posed_state_valid(space, q, 0.0)

@@ -48,8 +48,9 @@ def enclosing_sphere(points, rounds=200):
 
     Badoiu and Clarkson, "Smaller core-sets for balls", 2003: step towards the farthest point, ever less.
     """
-    centre = 0.5 * (points[0] + points[-1])
-    best, smallest = centre.copy(), np.inf
+    centre, best, smallest = np.empty(3), np.empty(3), np.inf
+    for a in range(3):
+        centre[a] = 0.5 * (points[0, a] + points[points.shape[0] - 1, a])
     for i in range(1, rounds + 1):
         far, most = 0, -1.0
         for k in range(points.shape[0]):
@@ -58,9 +59,11 @@ def enclosing_sphere(points, rounds=200):
                 distance2 += (points[k, a] - centre[a]) ** 2
             if distance2 > most:
                 far, most = k, distance2
-        if most < smallest:
-            best[:], smallest = centre, most
-        centre += (points[far] - centre) / (i + 1)
+        for a in range(3):
+            if most < smallest:
+                best[a] = centre[a]
+            centre[a] += (points[far, a] - centre[a]) / (i + 1)
+        smallest = min(smallest, most)
     return best, np.sqrt(smallest) + SLACK
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined
+from cvqmpt_lab.kernels.compiling import driver, inlined, thin
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.rotation import log_map_factor, rotation_vector
 
@@ -25,7 +25,8 @@ class Regions(NamedTuple):
     link, base: (k,) int64, pose rows carrying the end frame and the reference frame (base 0 = world).
     end_rotation, end_translation: (k, 3, 3), (k, 3): T_link_e (Tw_e)^-1.
     reference_rotation, reference_translation: (k, 3, 3), (k, 3): T_base_w.
-    region: (m,) int64, region of each row; axis: (m,) int64, 0-2 position, 3-5 rotation vector.
+    region: (m,) int64, region of each row; axis: (m,) int64, 0-2 position, 3-5 rotation vector; rows are
+        sorted by region, then axis.
     lower, upper: (m,) bounds [m or rad].
     """
 
@@ -70,7 +71,7 @@ def _into_reference(regions, k, link_rotation, x, y, z):
     return _turned_back(regions.reference_rotation, k, x, y, z)
 
 
-@inlined
+@thin
 def _displacement(regions, k, link_rotation, link_translation):
     """End point in the world (3), then displacement of region k: position (3), rotation vector (3)."""
     link, base = regions.link[k], regions.base[k]
@@ -102,9 +103,12 @@ def _displacement(regions, k, link_rotation, link_translation):
     return end, position, vector
 
 
-@inlined
-def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end):
-    """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of joint j."""
+@thin
+def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, linear):
+    """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of joint j.
+
+    linear: whether the velocity is wanted; else it is zero.
+    """
     with_link = kinematics.moves[j, regions.link[k]]
     if with_link == kinematics.moves[j, regions.base[k]]:  # both or neither move
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -116,13 +120,16 @@ def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translatio
     )
     if kinematics.prismatic[j]:
         return _into_reference(regions, k, link_rotation, zx, zy, zz), (0.0, 0.0, 0.0)
+    angular = _into_reference(regions, k, link_rotation, zx, zy, zz)
+    if not linear:
+        return (0.0, 0.0, 0.0), angular
     dx = end[0] - link_translation[j + 1, 0]
     dy = end[1] - link_translation[j + 1, 1]
     dz = end[2] - link_translation[j + 1, 2]
-    linear = _into_reference(
+    velocity = _into_reference(
         regions, k, link_rotation, zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
     )
-    return linear, _into_reference(regions, k, link_rotation, zx, zy, zz)
+    return velocity, angular
 
 
 @inlined
@@ -132,9 +139,48 @@ def _pick(vector, axis):
 
 
 @inlined
-def residual_and_jacobian(kinematics, regions, link_rotation, link_translation, full, out, jacobian):
-    """Write residual (m,) and its Jacobian (m, n); link poses come from forward_kinematics.
+def residual(regions, link_rotation, link_translation, out, displacement):
+    """Write the residual (m,) into out; link poses come from forward_kinematics.
 
+    displacement: (k, 9), end point in the world, position and rotation vector of each region, for `jacobian`.
+
+    Returns
+    -------
+    The squared norm of the residual.
+    """
+    m = regions.region.shape[0]
+    first, square = 0, 0.0
+    for k in range(regions.link.shape[0]):
+        end, position, vector = _displacement(regions, k, link_rotation, link_translation)
+        for a in range(3):
+            displacement[k, a] = _pick(end, a)
+            displacement[k, 3 + a] = _pick(position, a)
+            displacement[k, 6 + a] = _pick(vector, a)
+        while first < m and regions.region[first] == k:
+            x = displacement[k, 3 + regions.axis[first]]
+            out[first] = min(x - regions.lower[first], 0.0) + max(x - regions.upper[first], 0.0)
+            square += out[first] * out[first]
+            first += 1
+    return square
+
+
+@thin
+def _log_map_rate(vector, factor, square, w):
+    """Jl^-1(vector) w: rate of the rotation vector of a frame turning with angular velocity w."""
+    dot = factor * (vector[0] * w[0] + vector[1] * w[1] + vector[2] * w[2])
+    rest = 1.0 - factor * square
+    return (
+        rest * w[0] + dot * vector[0] - 0.5 * (vector[1] * w[2] - vector[2] * w[1]),
+        rest * w[1] + dot * vector[1] - 0.5 * (vector[2] * w[0] - vector[0] * w[2]),
+        rest * w[2] + dot * vector[2] - 0.5 * (vector[0] * w[1] - vector[1] * w[0]),
+    )
+
+
+@inlined
+def jacobian(kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out):
+    """Write the Jacobian (m, n) of the residual into out.
+
+    displacement, out_of_bounds: what `residual` wrote for the same link poses.
     full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
     that tangent-space planners need).
     """
@@ -142,37 +188,31 @@ def residual_and_jacobian(kinematics, regions, link_rotation, link_translation, 
     m = regions.region.shape[0]
     first = 0
     for k in range(regions.link.shape[0]):
-        end, position, vector = _displacement(regions, k, link_rotation, link_translation)
-        last = first
-        any_active = full
+        last, active = first, full
         while last < m and regions.region[last] == k:
-            axis = regions.axis[last]
-            x = _pick(position, axis) if axis < 3 else _pick(vector, axis - 3)
-            out[last] = min(x - regions.lower[last], 0.0) + max(x - regions.upper[last], 0.0)
-            any_active = any_active or out[last] != 0.0
+            active = active or out_of_bounds[last] != 0.0
             last += 1
-        if not any_active:
+        if not active:
             for row in range(first, last):
                 for j in range(n):
-                    jacobian[row, j] = 0.0
+                    out[row, j] = 0.0
             first = last
             continue
+        end = displacement[k, 0], displacement[k, 1], displacement[k, 2]
+        vector = displacement[k, 6], displacement[k, 7], displacement[k, 8]
         factor, square = log_map_factor(vector)
+        bounds_position = regions.axis[first] < 3  # rows of a region are sorted by axis
         for j in range(n):
-            v, w = _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end)
-            dot = vector[0] * w[0] + vector[1] * w[1] + vector[2] * w[2]
-            rest = 1.0 - factor * square
-            rate = (  # Jl^-1(vector) w
-                rest * w[0] + factor * dot * vector[0] - 0.5 * (vector[1] * w[2] - vector[2] * w[1]),
-                rest * w[1] + factor * dot * vector[1] - 0.5 * (vector[2] * w[0] - vector[0] * w[2]),
-                rest * w[2] + factor * dot * vector[2] - 0.5 * (vector[0] * w[1] - vector[1] * w[0]),
+            v, w = _relative_velocity(
+                kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position
             )
+            rate = _log_map_rate(vector, factor, square, w)
             for row in range(first, last):
                 axis = regions.axis[row]
-                if out[row] == 0.0 and not full:
-                    jacobian[row, j] = 0.0
+                if out_of_bounds[row] == 0.0 and not full:
+                    out[row, j] = 0.0
                 else:
-                    jacobian[row, j] = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
+                    out[row, j] = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
         first = last
 
 
@@ -181,11 +221,11 @@ def batch_residual_and_jacobian(kinematics, regions, configurations, full):
     """Residuals (b, m) and Jacobians (b, m, n) of configurations (b, n)."""
     b, n = configurations.shape
     m = regions.region.shape[0]
-    link_rotation, link_translation = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    rotation, translation = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    displacement = np.empty((regions.link.shape[0], 9))
     residuals, jacobians = np.zeros((b, m)), np.zeros((b, m, n))
     for i in range(b):
-        forward_kinematics(kinematics, configurations[i], link_rotation, link_translation)
-        residual_and_jacobian(
-            kinematics, regions, link_rotation, link_translation, full, residuals[i], jacobians[i]
-        )
+        forward_kinematics(kinematics, configurations[i], rotation, translation)
+        residual(regions, rotation, translation, residuals[i], displacement)
+        jacobian(kinematics, regions, rotation, translation, displacement, full, residuals[i], jacobians[i])
     return residuals, jacobians

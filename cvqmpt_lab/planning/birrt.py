@@ -27,12 +27,14 @@ class BiRRT:
     ----------
     extend_both: both trees walk to the sample before they are connected, as in Algorithm 3; otherwise
         the second tree walks to where the first one stopped, as in CBiRRT.
+    step: between neighbouring nodes [rad]; a found path is then mended to the space's own step.
     reach: longest walk towards a sample [rad]; connecting walks are not limited. Chosen on the tuning
         environments, see docs/performance.md.
     """
 
     name: str = "birrt"
     extend_both: bool = True
+    step: float = 0.15
     reach: float = 1.0
 
     def plan(
@@ -74,9 +76,10 @@ class BiRRT:
 
     def _use(self, space: ConstrainedSpace, trees: kernels.Trees, samples: np.ndarray):
         """Grow with one batch of samples; the trees, and a path that passed the fine check or None."""
+        arrays = space.arrays._replace(step=self.step)
         first = 0
         while first < len(samples):
-            status, first = kernels.grow(space.arrays, trees, samples, first, self.extend_both, self.reach)
+            status, first = kernels.grow(arrays, trees, samples, first, self.extend_both, self.reach)
             space.reraise()
             if status == kernels.FULL:
                 trees = _enlarged(trees)

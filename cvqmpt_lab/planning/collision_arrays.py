@@ -5,15 +5,15 @@ from functools import lru_cache
 import numpy as np
 
 from cvqmpt_lab.kernels.geometry import RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
+from cvqmpt_lab.kernels.point_clusters import Cloud
 from cvqmpt_lab.kernels.separation import BOX, CYLINDER, HULL, SPHERE
 from cvqmpt_lab.kernels.shapes import ShapeSpec
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.collision import carried_pairs
+from cvqmpt_lab.scene.collision import MOST_BALLS, carried_pairs
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
 
-VOXEL = 0.02  # [m] points of a cloud within one voxel become one ball around them
 NO_VERTICES = np.empty((0, 3))
 
 
@@ -34,34 +34,36 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 @lru_cache(maxsize=8)
 def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base."""
-    return scene_geometry(scene_specs(scene), np.full(3, -reach), np.full(3, reach))
+    solids = [item for item in scene.obstacles if not isinstance(item.shape, PointCloud)]
+    clouds = [
+        _cloud(item.shape, item.T_world_object)
+        for item in scene.obstacles
+        if isinstance(item.shape, PointCloud)
+    ]
+    specs = [spec for item in solids for spec in _specs(item.shape, item.T_world_object)]
+    return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), clouds=clouds)
 
 
-def scene_specs(scene: Scene) -> list[ShapeSpec]:
-    """The obstacles of a scene in plain numbers."""
-    return [spec for item in scene.obstacles for spec in _specs(item.shape, item.T_world_object)]
+def _cloud(cloud: PointCloud, T: np.ndarray) -> Cloud:
+    """The balls of a cloud in the world; of a large one, balls around the octree cells of the exact checker."""
+    points, radius = cloud.points, cloud.radius
+    if len(points) > MOST_BALLS:
+        edge = 2.0 * radius
+        points = (np.unique(np.floor(points / edge), axis=0) + 0.5) * edge
+        radius = 0.5 * np.sqrt(3.0) * edge
+    return Cloud(points @ T[:3, :3].T + T[:3, 3], radius)
 
 
 def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
-    """The shape in plain numbers; a cloud becomes many balls."""
+    """A solid in plain numbers, or one ball per point of a carried cloud."""
     return SPECS[type(shape)](shape, T)
 
 
-def cloud_specs(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
-    """One ball per occupied voxel, large enough for the balls of all points in it."""
-    points = cloud.points @ T[:3, :3].T + T[:3, 3]
-    _, owner = np.unique(np.floor(points / VOXEL).astype(np.int64), axis=0, return_inverse=True)
-    owner = owner.ravel()
-    count = np.bincount(owner)
-    centres = np.stack([np.bincount(owner, points[:, a]) / count for a in range(3)], axis=1)
-    spread = np.zeros(len(count))
-    np.maximum.at(spread, owner, np.linalg.norm(points - centres[owner], axis=1))
-    specs = []
-    for centre, radius in zip(centres, spread + cloud.radius, strict=True):
-        pose = np.eye(4)
-        pose[:3, 3] = centre
-        specs.append(ShapeSpec(SPHERE, (float(radius),), NO_VERTICES, pose))
-    return specs
+def _balls(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
+    """One ball per point."""
+    poses = np.tile(np.eye(4), (len(cloud.points), 1, 1))
+    poses[:, :3, 3] = cloud.points @ T[:3, :3].T + T[:3, 3]
+    return [ShapeSpec(SPHERE, (cloud.radius,), NO_VERTICES, pose) for pose in poses]
 
 
 SPECS = {
@@ -69,5 +71,5 @@ SPECS = {
     Cylinder: lambda c, T: [ShapeSpec(CYLINDER, (c.radius, c.radius, c.height), NO_VERTICES, T)],
     Sphere: lambda sphere, T: [ShapeSpec(SPHERE, (sphere.radius,), NO_VERTICES, T)],
     ConvexMesh: lambda mesh, T: [ShapeSpec(HULL, (), mesh.vertices, T)],
-    PointCloud: cloud_specs,
+    PointCloud: _balls,
 }

@@ -77,7 +77,7 @@ class PlanResult:
     Attributes
     ----------
     seconds: wall time of the search. vertices: nodes in all trees. sampler: name of the distribution used.
-    detail: one line more about a failure, or "".
+    detail: one line more, e.g. about a failure, or "".
     """
 
     status: PlanStatus

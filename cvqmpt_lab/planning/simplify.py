@@ -15,15 +15,18 @@ ROUND = 16  # shortcuts tried between looks at the clock
 
 @dataclass(frozen=True)
 class SimplifySettings:
-    """When to stop: attempts or seconds used up, or `patience` rounds without `gain` (relative) in length."""
+    """When to stop: attempts or seconds used up, or `patience` rounds without `gain` (relative) in length.
+
+    Without seconds the result depends on path and seed alone.
+    """
 
     attempts: int = 64
-    seconds: float = 1.0
+    seconds: float | None = None
     patience: int = 4
     gain: float = 0.002
 
     def __post_init__(self) -> None:
-        if self.attempts < 0 or not self.seconds > 0 or self.patience < 1:
+        if self.attempts < 0 or (self.seconds is not None and not self.seconds > 0) or self.patience < 1:
             raise InvalidInputError(f"simplification bounds must be positive: {self}")
 
 
@@ -55,7 +58,7 @@ def simplify(
     detour = np.empty((capacity, space.robot.dof))
     count, length, stale, tried = len(path.states), path.length, 0, 0
     while tried < settings.attempts and stale < settings.patience:
-        if time.perf_counter() - began > settings.seconds:
+        if settings.seconds is not None and time.perf_counter() - began > settings.seconds:
             break
         picks = rng.random((min(ROUND, settings.attempts - tried), 2))
         if tried == 0:

@@ -8,11 +8,13 @@ from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, 
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.kernels import space as kernels
 from cvqmpt_lab.kernels.bound import BoundSpace, bind, constraint_one, project_one, valid_one
+from cvqmpt_lab.kernels.geometry import swing
 from cvqmpt_lab.kernels.motion import refine_and_check
 from cvqmpt_lab.kernels.projection import projection_scratch
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.result import Counters, Path
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.collision import CollisionChecker
 from cvqmpt_lab.scene.shapes import bounding_radius
 
 BACKENDS = ("compiled", "exact")
@@ -44,6 +46,9 @@ class ConstrainedSpace:
 
     backend: "compiled" answers state checks in the kernels, "exact" calls coal; projection and tree
     growth are the same code with either.
+
+    doubtful: names of the problem's configurations that the (conservative) state check blocks although
+    the meshes allow them; within `kernels.DOUBT` of these, exact checks have the last word.
     """
 
     def __init__(
@@ -55,14 +60,13 @@ class ConstrainedSpace:
         self.problem, self.robot, self.backend, self.settings = problem, problem.robot, backend, settings
         n = problem.robot.dof
         regions = stack_regions(problem.robot, problem.constraint, settings.inset)
-        query = np.zeros(n)
         exact = backend == "exact"
-        checker = problem.collision_checker(settings.margin) if exact else None
-        self._check = kernels.StateCheck((lambda q: not checker.in_collision(q)) if checker else None, query)
+        self._check, query = _asked(problem.collision_checker(settings.margin) if exact else None, n)
+        robot = robot_arrays(problem.robot, problem.attachments)
         self.arrays = kernels.Space(
             kinematics=problem.robot.kinematics,
             regions=regions,
-            robot=robot_arrays(problem.robot, problem.attachments),
+            robot=robot,
             scene=scene_arrays(problem.scene, _reach(problem)),
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
@@ -72,11 +76,28 @@ class ConstrainedSpace:
             exact=exact,
             check=self._check,
             query=query,
+            doubtful=np.empty((0, n)),
+            swing=swing(problem.robot.kinematics, robot),
             counters=np.zeros(4, dtype=np.int64),
             state=np.zeros(n),
-            scratch=projection_scratch(n, len(regions.axis)),
+            scratch=projection_scratch(n, regions),
         )
         self._bound: BoundSpace | None = None
+        self.doubtful = self._ask_again()
+
+    def _ask_again(self) -> tuple[str, ...]:
+        """Names of start and goals that state checks block but the meshes allow; exact checks are used near them."""
+        blocked = {label: q for label, q in self.problem.labelled_configurations() if not self.valid(q)}
+        self.arrays.counters[:] = 0
+        if not blocked:
+            return ()
+        checker = self.problem.collision_checker()
+        doubtful = {label: q for label, q in blocked.items() if not checker.in_collision(q)}
+        self._check, query = _asked(checker, self.robot.dof)
+        near = np.array(list(doubtful.values())).reshape(-1, self.robot.dof)
+        self.arrays = self.arrays._replace(check=self._check, query=query, doubtful=near)
+        self._bound = None
+        return tuple(doubtful)
 
     @property
     def counters(self) -> Counters:
@@ -140,6 +161,13 @@ class ConstrainedSpace:
         written, bad = refine_and_check(self.arrays, states, len(states), out)
         self.reraise()
         return (Path(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
+
+
+def _asked(checker: CollisionChecker | None, n: int) -> tuple[kernels.StateCheck, np.ndarray]:
+    """A checker of n joints as compiled code calls it, and the array through which it is asked."""
+    query = np.zeros(n)
+    valid = None if checker is None else lambda q: not checker.in_collision(q)
+    return kernels.StateCheck(valid, query), query
 
 
 def _reach(problem: PlanningProblem) -> float:
