@@ -4,10 +4,10 @@ import time
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver
+from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.geometry import SceneGeometry, scene_geometry
 from cvqmpt_lab.kernels.point_clusters import Cloud
-from cvqmpt_lab.kernels.space import Space, state_valid
+from cvqmpt_lab.kernels.space import Space, state_valid, states_valid
 from cvqmpt_lab.planning.collision_arrays import scene_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
@@ -20,18 +20,13 @@ HALVINGS = 16
 NEAR = 0.05  # [rad] states near a contact lie within this of it
 
 
-@driver
-def states_valid(space, configurations, out):
-    """Write whether each configuration (b, n) is free into out (b,)."""
-    for i in range(configurations.shape[0]):
-        out[i] = state_valid(space, configurations[i])
+@kernel
+def _towards_contact(space, free, colliding, middle, halvings):
+    """Move free (b, n) in place to the last free state before the first contact found towards colliding (b, n).
 
-
-@driver
-def _towards_contact(space, free, colliding, halvings):
-    """Move free (b, n) in place to the last free state before the first contact found towards colliding (b, n)."""
+    middle: (n,) work array.
+    """
     b, n = free.shape
-    middle = np.empty(n)
     for i in range(b):
         for _ in range(halvings):
             for j in range(n):
@@ -85,7 +80,9 @@ def near_contact(
         free = _free(space, states)
         pairs = min(int(free.sum()), int((~free).sum()), missing)
         contact = states[free][:pairs].copy()
-        _towards_contact(space.arrays, contact, states[~free][:pairs].copy(), HALVINGS)
+        _towards_contact(
+            space.arrays, contact, states[~free][:pairs].copy(), np.empty(states.shape[1]), HALVINGS
+        )
         direction = rng.normal(size=contact.shape)
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         found.append(np.clip(contact + direction * rng.uniform(0.0, NEAR, (pairs, 1)), *limits))

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from llvmlite import ir
 from numba import types
+from numba.extending import intrinsic
 
 from cvqmpt_lab.kernels.collision import FREE, first_contact
-from cvqmpt_lab.kernels.compiling import thin
+from cvqmpt_lab.kernels.compiling import kernel, thin
 from cvqmpt_lab.kernels.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.kernels.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.projection import ProjectionScratch, project
@@ -22,11 +24,11 @@ PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of S
 DOUBT = 0.2  # [rad] around a doubtful configuration
 
 
-class StateCheck(types.WrapperAddressProtocol):
-    """A Python function ``valid(q) -> bool`` that compiled code can call on the shared array `query`.
+class StateCheck:
+    """A Python function ``valid(q) -> bool`` that compiled code calls by address, on the shared array `query`.
 
     An exception inside it cannot cross compiled code: it is kept, the state counts as invalid, and
-    `reraise` throws it once the kernel has returned.
+    `reraise` throws it once the kernel has returned. The object must outlive its use.
     """
 
     def __init__(self, valid: Callable[[np.ndarray], bool] | None, query: np.ndarray) -> None:
@@ -42,22 +44,25 @@ class StateCheck(types.WrapperAddressProtocol):
                 return False
 
         self._callback = ctypes.CFUNCTYPE(ctypes.c_bool)(call)
-
-    def __wrapper_address__(self) -> int:
-        """Address of the C entry point (numba's wrapper-address protocol)."""
-        address = ctypes.cast(self._callback, ctypes.c_void_p).value
-        assert address is not None
-        return address
-
-    def signature(self) -> types.Type:
-        """Return type and arguments: bool()."""
-        return types.boolean()
+        self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
     def reraise(self) -> None:
         """Throw what the function threw, if it did."""
         if self.error is not None:
             error, self.error = self.error, None
             raise error
+
+
+@intrinsic
+def _call(typing_context, address):
+    """Call the C function ``bool f()`` at an address."""
+
+    def generate(context, builder, signature, arguments):
+        function = ir.FunctionType(ir.IntType(8), [])
+        pointer = builder.inttoptr(arguments[0], function.as_pointer())
+        return builder.icmp_unsigned("!=", builder.call(pointer, []), ir.IntType(8)(0))
+
+    return types.boolean(types.int64), generate
 
 
 class Space(NamedTuple):
@@ -68,7 +73,8 @@ class Space(NamedTuple):
     tolerance: of |F| after projection; max_iterations: Newton steps per projection.
     step: longest motion between neighbouring states [rad]; margin: kept from obstacles [m].
     resolution: spacing of the final collision check of a motion [rad].
-    exact, check, query: use the callback, the callback, and the array through which it is asked.
+    exact, check, query: use the callback, its address, and the array through which it is asked. (Were the
+        callback itself in here, numba would take half a millisecond to find out the types of a call.)
     doubtful: (k, n) configurations that the compiled checker blocks but the meshes allow: near them a
         state that it calls colliding is asked for again through the callback.
     swing: (n,) no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad].
@@ -86,7 +92,7 @@ class Space(NamedTuple):
     resolution: float
     margin: float
     exact: bool
-    check: StateCheck
+    check: int
     query: np.ndarray
     doubtful: np.ndarray
     swing: np.ndarray
@@ -135,7 +141,7 @@ def posed_state_valid(space, q, clearance):
             return geometry == FREE
     for j in range(q.shape[0]):
         space.query[j] = q[j]
-    return space.check()
+    return _call(space.check)
 
 
 @thin
@@ -143,3 +149,10 @@ def state_valid(space, q):
     """Whether q (n,) is free of collision."""
     forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
     return posed_state_valid(space, q, 0.0)
+
+
+@kernel
+def states_valid(space, configurations, out):
+    """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
+    for i in range(configurations.shape[0]):
+        out[i] = state_valid(space, configurations[i])

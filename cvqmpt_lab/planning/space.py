@@ -74,7 +74,7 @@ class ConstrainedSpace:
             resolution=settings.resolution,
             margin=settings.margin,
             exact=exact,
-            check=self._check,
+            check=self._check.address,
             query=query,
             doubtful=np.empty((0, n)),
             swing=swing(problem.robot.kinematics, robot),
@@ -95,7 +95,7 @@ class ConstrainedSpace:
         doubtful = {label: q for label, q in blocked.items() if not checker.in_collision(q)}
         self._check, query = _asked(checker, self.robot.dof)
         near = np.array(list(doubtful.values())).reshape(-1, self.robot.dof)
-        self.arrays = self.arrays._replace(check=self._check, query=query, doubtful=near)
+        self.arrays = self.arrays._replace(check=self._check.address, query=query, doubtful=near)
         self._bound = None
         return tuple(doubtful)
 
