@@ -163,7 +163,7 @@ def _random_problems(count: int) -> Iterator[PlanningProblem]:
         rng = np.random.default_rng(number)
         checker = CollisionChecker(robot, scene, margin=0.001)
         states = [q for q in robot.random_configurations(rng, 64) if not checker.in_collision(q)]
-        if len(states) < 2 or not checker.in_collision_batch(np.linspace(*states[:2], 64)).any():
+        if len(states) < 2 or not checker.in_collision_batch(np.linspace(states[0], states[1], 64)).any():
             continue
         count -= 1
         yield PlanningProblem(f"random {number}", robot, scene, states[0], states[1][None])

@@ -20,7 +20,7 @@ class _Residual(torch.autograd.Function):
         return torch.from_numpy(residual).to(q).reshape(*shape, residual.shape[1])
 
     @staticmethod
-    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
         return torch.einsum("...m,...mn->...n", gradient, ctx.jacobian), None
 
 
