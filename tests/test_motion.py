@@ -1,0 +1,137 @@
+"""Straight motions: how far they move the robot, and that they are called free only where coal agrees."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.kernels.geometry import swing
+from cvqmpt_lab.kernels.kinematics import link_poses
+from cvqmpt_lab.kernels.motion import motion_free
+from cvqmpt_lab.planning.collision_arrays import robot_arrays
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
+from experiments.bench_collision import near_contact
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+HAMMER = (
+    Attachment("handle", Box((0.03, 0.04, 0.5)), pose((0.02, -0.01, 0.3), 0.4)),
+    Attachment(
+        "head", ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))), pose((0.0, 0.2, 0.5))
+    ),
+)
+FINE = 0.002  # [rad]
+
+
+def placed_points(robot, attachments, configurations):
+    """World positions (k, p, 3) of every vertex of the links and of what is carried."""
+    rotations, translations = link_poses(robot.kinematics, configurations)
+    hand, T_link_hand = robot.end_effector_link
+    solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
+    solids += [(hand, T_link_hand @ a.T_hand_object, shape_vertices(a.shape)) for a in attachments]
+    points = [
+        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1)
+        + translations[:, link, None]
+        for link, T, vertices in solids
+    ]
+    return np.concatenate(points, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "attachments"), [("panda", ()), ("panda", HAMMER), ("slider_arm", ()), ("slider_arm", HAMMER)]
+)
+def test_no_point_moves_further_than_its_swing(request, name, attachments):
+    robot = request.getfixturevalue(name)
+    bound = swing(robot.kinematics, robot_arrays(robot, attachments))
+    rng = np.random.default_rng(0)
+    before = robot.random_configurations(rng, 1000)
+    change = 10.0 ** rng.uniform(-4.0, 0.3, (1000, 1)) * rng.standard_normal(before.shape)
+    change[:300] *= np.eye(robot.dof)[rng.integers(robot.dof, size=300)]  # one joint at a time comes closest
+    after = np.clip(before + change, robot.lower, robot.upper)
+    moved = placed_points(robot, attachments, after) - placed_points(robot, attachments, before)
+    furthest = np.linalg.norm(moved, axis=2).max(axis=1)
+    allowed = np.abs(after - before) @ bound
+    assert (furthest <= allowed + 1e-12).all()
+    assert (furthest / allowed).max() > 0.8, "a bound this loose would make every motion slow to check"
+
+
+def test_what_is_carried_swings_further(panda):
+    bare, loaded = (swing(panda.kinematics, robot_arrays(panda, a)) for a in ((), HAMMER))
+    assert (loaded > bare + 0.3).all()
+
+
+@pytest.fixture(scope="module")
+def kitchen_space(panda, open_kitchen):
+    return ConstrainedSpace(PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None]))
+
+
+@pytest.fixture(scope="module")
+def motions(kitchen_space):
+    """Free states a, b (k, n) up to 0.3 rad apart, on either side of a contact."""
+    rng, robot = np.random.default_rng(0), kitchen_space.robot
+    contacts = near_contact(kitchen_space.problem, kitchen_space, rng, 6000)
+    away = rng.standard_normal((2, *contacts.shape))
+    away *= rng.uniform(0.0, 0.15, (2, len(contacts), 1)) / np.linalg.norm(away, axis=2, keepdims=True)
+    a, b = np.clip(contacts + away, robot.lower, robot.upper)
+    free = [kitchen_space.valid(p) and kitchen_space.valid(q) for p, q in zip(a, b, strict=True)]
+    return a[free], b[free]
+
+
+@pytest.fixture(scope="module")
+def answers(kitchen_space, motions):
+    """What motion_free says of each of the motions, (k,)."""
+    return np.array([motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)])
+
+
+def along(a, b, spacing):
+    """States of the straight motion from a to b, both included."""
+    return np.linspace(a, b, 1 + max(1, int(np.ceil(np.linalg.norm(b - a) / spacing))))
+
+
+def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
+    """Between states `resolution` apart a graze could hide; none does here."""
+    checker = kitchen_space.problem.collision_checker()
+    called_free = np.flatnonzero(answers)[:500]
+    hit = [
+        k for k in called_free if checker.in_collision_batch(along(motions[0][k], motions[1][k], FINE)).any()
+    ]
+    assert len(called_free) == 500 and hit == []
+
+
+def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
+    kitchen_space, motions, answers
+):
+    spacing = kitchen_space.settings.resolution
+    sampled = np.array(
+        [all(kitchen_space.valid(q) for q in along(a, b, spacing)) for a, b in zip(*motions, strict=True)]
+    )
+    assert (~sampled).sum() >= 15 and answers[~sampled].mean() < 0.2
+    assert (answers != sampled).mean() < 0.02
+
+
+def test_both_backends_judge_motions_alike(kitchen_space, motions, answers):
+    exact = ConstrainedSpace(kitchen_space.problem, "exact")
+    some = np.concatenate([np.flatnonzero(~answers), np.flatnonzero(answers)[:60]])
+    judged = [motion_free(exact.arrays, motions[0][k], motions[1][k]) for k in some]
+    assert (np.array(judged) != answers[some]).mean() <= 0.05
+
+
+def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
+    """One finger sweeps past a small ball at its tip; with the ball below the tip, the motion is free."""
+    a, b = HOME - 0.1 * np.eye(7)[0], HOME + 0.1 * np.eye(7)[0]
+
+    def answer(depth):
+        place = panda.pose(HOME) @ pose((0.0, 0.05, depth))
+        scene = Scene("ball", (SceneObject("ball", Sphere(0.005), place),))
+        space = ConstrainedSpace(PlanningProblem("ball", panda, scene, a, b[None]))
+        return space.valid(a), space.valid(b), motion_free(space.arrays, a, b)
+
+    assert answer(0.1) == (True, True, False)
+    assert answer(0.13) == (True, True, True)
+
+
+def test_motions_of_no_length_and_to_a_collision(kitchen_space, motions):
+    a = motions[0][0]
+    assert motion_free(kitchen_space.arrays, a, a)
+    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))
