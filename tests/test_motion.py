@@ -6,6 +6,7 @@ import pytest
 from cvqmpt_lab.kernels.geometry import swing
 from cvqmpt_lab.kernels.kinematics import link_poses
 from cvqmpt_lab.kernels.motion import motion_free
+from cvqmpt_lab.kernels.space import states_valid
 from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
@@ -70,11 +71,11 @@ def kitchen_space(panda, open_kitchen):
 def motions(kitchen_space):
     """Free states a, b (k, n) up to 0.3 rad apart, on either side of a contact."""
     rng, robot = np.random.default_rng(0), kitchen_space.robot
-    contacts = near_contact(kitchen_space.problem, kitchen_space, rng, 6000)
+    contacts = np.repeat(near_contact(kitchen_space.problem, kitchen_space, rng, 1000), 30, axis=0)
     away = rng.standard_normal((2, *contacts.shape))
     away *= rng.uniform(0.0, 0.15, (2, len(contacts), 1)) / np.linalg.norm(away, axis=2, keepdims=True)
     a, b = np.clip(contacts + away, robot.lower, robot.upper)
-    free = [kitchen_space.valid(p) and kitchen_space.valid(q) for p, q in zip(a, b, strict=True)]
+    free = all_free(kitchen_space, np.stack([a, b], axis=1))
     return a[free], b[free]
 
 
@@ -84,35 +85,49 @@ def answers(kitchen_space, motions):
     return np.array([motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)])
 
 
-def along(a, b, spacing):
-    """States of the straight motion from a to b, both included."""
-    return np.linspace(a, b, 1 + max(1, int(np.ceil(np.linalg.norm(b - a) / spacing))))
+def all_free(space, states):
+    """Whether the compiled checker calls all states of each row (k, s, n) free, (k,)."""
+    out = np.empty(states.shape[0] * states.shape[1], dtype=bool)
+    states_valid(space.arrays, np.ascontiguousarray(states.reshape(-1, states.shape[2])), out)
+    return out.reshape(states.shape[:2]).all(axis=1)
+
+
+def along(motions, spacing):
+    """States (k, s, n) of straight motions, all with as many as the longest one needs."""
+    a, b = motions
+    longest = np.linalg.norm(b - a, axis=1).max()
+    return np.linspace(a, b, 1 + int(np.ceil(longest / spacing)), axis=1)
 
 
 def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
-    """Between states `resolution` apart a graze could hide; none does here."""
-    checker = kitchen_space.problem.collision_checker()
-    called_free = np.flatnonzero(answers)[:500]
-    hit = [
-        k for k in called_free if checker.in_collision_batch(along(motions[0][k], motions[1][k], FINE)).any()
-    ]
-    assert len(called_free) == 500 and hit == []
+    """But for grazes between two states `resolution` apart: rare, and no deeper than half their distance."""
+    checker, resolution = kitchen_space.problem.collision_checker(), kitchen_space.settings.resolution
+    a, b = (ends[answers] for ends in motions)
+    doubtful = ~all_free(kitchen_space, along((a, b), FINE))
+    rest = np.random.default_rng(0).choice(np.flatnonzero(~doubtful), 150, replace=False)
+    asked = np.concatenate([np.flatnonzero(doubtful), rest])
+    grazes = 0
+    for k in asked:
+        states = along((a[k : k + 1], b[k : k + 1]), FINE)[0]
+        hit = states[checker.in_collision_batch(states)]
+        grazes += len(hit) > 0
+        half = 0.5 * resolution * np.abs(b[k] - a[k]) @ kitchen_space.arrays.swing
+        half /= np.linalg.norm(b[k] - a[k])
+        assert all(checker.clearance(q) > -half for q in hit)
+    assert grazes <= 5e-4 * len(a)
 
 
 def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
     kitchen_space, motions, answers
 ):
-    spacing = kitchen_space.settings.resolution
-    sampled = np.array(
-        [all(kitchen_space.valid(q) for q in along(a, b, spacing)) for a, b in zip(*motions, strict=True)]
-    )
-    assert (~sampled).sum() >= 15 and answers[~sampled].mean() < 0.2
+    sampled = all_free(kitchen_space, along(motions, kitchen_space.settings.resolution))
+    assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
     assert (answers != sampled).mean() < 0.02
 
 
 def test_both_backends_judge_motions_alike(kitchen_space, motions, answers):
     exact = ConstrainedSpace(kitchen_space.problem, "exact")
-    some = np.concatenate([np.flatnonzero(~answers), np.flatnonzero(answers)[:60]])
+    some = np.concatenate([np.flatnonzero(~answers)[:60], np.flatnonzero(answers)[:60]])
     judged = [motion_free(exact.arrays, motions[0][k], motions[1][k]) for k in some]
     assert (np.array(judged) != answers[some]).mean() <= 0.05
 
