@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.collision import CollisionChecker
+from cvqmpt_lab.scene.collision import MOST_BALLS, CollisionChecker, coal_shape
 from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
@@ -135,6 +136,48 @@ def test_point_clouds_are_never_smaller_than_their_balls(panda, spread):
     missed = [checker.clearance(q) for q in states[expected & ~answers]]
     assert [depth for depth in missed if depth < -CONTACT] == []
     assert (answers & ~expected).mean() < 0.1
+
+
+def shell(rng, count):
+    """Points (count, 3) [m] around the arm."""
+    direction = rng.standard_normal((count, 3))
+    return direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(0.5, 0.9, (count, 1))
+
+
+TURNED = pose((0.05, -0.1, 0.4), 0.7)
+TURNED[:3, :3] = TURNED[:3, :3] @ [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]
+
+
+@pytest.mark.parametrize("T", [pose((0.0, 0.0, 0.4)), TURNED], ids=["straight", "turned"])
+@pytest.mark.parametrize("count", [300, MOST_BALLS + 1000], ids=["balls", "octree"])
+def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
+    rng = np.random.default_rng(3)
+    scene = Scene("cloud", (SceneObject("cloud", PointCloud(shell(rng, count), 0.005), T),))
+    checker = CollisionChecker(panda, scene)
+    states = np.concatenate([panda.random_configurations(rng, 1000), near_contact(checker, rng, 3000)])
+    expected, answers = checker.in_collision_batch(states), compiled_hits(panda, scene, states)
+    missed = [checker.clearance(q) for q in states[expected & ~answers]]
+    assert expected[1000:].mean() > 0.2 and [depth for depth in missed if depth < -CONTACT] == []
+    assert (answers & ~expected)[:1000].mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    "on_border",
+    [
+        False,
+        pytest.param(True, marks=pytest.mark.xfail(strict=True, reason="cells are rounded unlike octomap's")),
+    ],
+)
+def test_cells_of_large_clouds_are_the_octree_s(panda, on_border):
+    """Points on a regular grid, as voxel filters make them, lie on the borders of cells."""
+    rng, radius = np.random.default_rng(4), 0.015
+    points = shell(rng, MOST_BALLS + 1000)
+    if on_border:
+        points = np.round(points / (2.0 * radius)) * (2.0 * radius)
+    cloud = PointCloud(points, radius)
+    cells = np.array(coal_shape(cloud).toBoxes())[:, :3]
+    arrays = scene_arrays(Scene("cloud", (SceneObject("cloud", cloud, np.eye(4)),)), 1.2)
+    assert KDTree(arrays.points).query(cells)[0].max() < 1e-9
 
 
 def test_clouds_with_nan_are_refused():
