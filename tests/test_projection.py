@@ -1,5 +1,7 @@
 """Newton projection onto the manifold: it converges, stays inside the limits and admits failure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,41 @@ def test_uniform_samples_reach_the_upright_manifold(panda, tilt):
     assert (q >= panda.lower).all() and (q <= panda.upper).all()
     residual = RegionConstraint(panda, (upright(tilt),)).residual(q[reached])
     assert np.linalg.norm(residual, axis=1).max() <= TOLERANCE
+
+
+def test_hardly_any_uniform_sample_fails(panda):
+    samples = panda.random_configurations(np.random.default_rng(5), 20_000)
+    assert (project_all(panda, (upright(),), samples)[1] >= 0).mean() >= 0.999
+
+
+@pytest.mark.parametrize(("between", "least"), [(1, 0.98), (0, 0.95)], ids=["some joints", "all joints"])
+def test_from_joints_at_their_limits_the_manifold_is_reached_inside(panda, between, least):
+    rng = np.random.default_rng(6)
+    samples = panda.random_configurations(rng, 5000)
+    place = rng.integers(2 + between, size=samples.shape)
+    samples = np.where(place == 0, panda.lower, np.where(place == 1, panda.upper, samples))
+    q, iterations = project_all(panda, (upright(),), samples)
+    reached = iterations >= 0
+    assert np.median(iterations) >= 3 and reached.mean() >= least
+    assert (q >= panda.lower).all() and (q <= panda.upper).all()
+    residual = RegionConstraint(panda, (upright(),)).residual(q[reached])
+    assert np.linalg.norm(residual, axis=1).max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("held", [1, 3, 5])
+def test_what_a_held_joint_cannot_do_the_others_share(panda, held):
+    """Joints 1, 3 and 5 turn about parallel axes: the shortest way back from a tilt is a third each, or a half."""
+    manifold = RegionConstraint(panda, (upright(0.0),))
+    tilted = manifold.project(np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))
+    tilted[5] += 0.3
+    way = np.array([0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0])
+    np.testing.assert_allclose(manifold.project(tilted) - tilted, 0.1 * way, atol=2e-3)
+    lower, upper = panda.lower.copy(), panda.upper.copy()
+    (lower if way[held] < 0.0 else upper)[held] = tilted[held]
+    narrow = replace(panda, kinematics=panda.kinematics._replace(lower=lower, upper=upper))
+    way[held] = 0.0
+    q = RegionConstraint(narrow, (upright(0.0),)).project(tilted)
+    np.testing.assert_allclose(q - tilted, 0.15 * way, atol=2e-3)
 
 
 def test_batch_equals_single(panda):
