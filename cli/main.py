@@ -4,8 +4,9 @@ import argparse
 import importlib
 import os
 import sys
+from typing import NoReturn
 
-from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 
 COMMANDS = {
     "plan": "plan one problem and print a short report",
@@ -26,14 +27,20 @@ EXAMPLES = """examples:
 cvqmpt COMMAND --help tells the rest."""
 
 
+class Parser(argparse.ArgumentParser):
+    """argparse whose errors are ours: one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        raise InvalidInputError(f"{message}; {self.prog} --help lists what can be given")
+
+
 def _module(command: str):
     return importlib.import_module(f"cli.{command.replace('-', '_')}_command")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run a subcommand; errors of the package become one line and exit code 2."""
-    argv = sys.argv[1:] if argv is None else argv
-    parser = argparse.ArgumentParser(
+def _parsed(argv: list[str]) -> argparse.Namespace:
+    parser = Parser(
         prog="cvqmpt",
         description="Constrained motion planning with learned sampling dictionaries: plan, measure, reproduce.",
         epilog=EXAMPLES,
@@ -49,8 +56,18 @@ def main(argv: list[str] | None = None) -> int:
             module = _module(name)
             sub.epilog = "examples:\n" + "\n".join("  " + line for line in module.EXAMPLES)
             module.add_arguments(sub)
-    args = parser.parse_args(argv)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:
+        raise InvalidInputError(
+            f"unknown arguments: {' '.join(unknown)}; cvqmpt {args.command} --help lists what can be given"
+        )
+    return args
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
+        args = _parsed(sys.argv[1:] if argv is None else argv)
         return _module(args.command).run(args)
     except CvqmptError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)

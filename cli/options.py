@@ -1,6 +1,7 @@
 """Options and checks that several subcommands share."""
 
 import argparse
+import contextlib
 import math
 import sys
 import time
@@ -14,18 +15,18 @@ from cvqmpt_lab.planning.table import PLANNERS
 
 def positive_int(text: str) -> int:
     """A whole number of 1 or more."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
-    return value
+    with contextlib.suppress(ValueError):
+        if int(text) >= 1:
+            return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
 
 
 def positive_seconds(text: str) -> float:
     """A finite positive number of seconds."""
-    value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
-    return value
+    with contextlib.suppress(ValueError):
+        if math.isfinite(float(text)) and float(text) > 0:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
 
 
 def add_budget(parser: argparse.ArgumentParser) -> None:

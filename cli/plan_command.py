@@ -1,7 +1,6 @@
 """`cvqmpt plan`: one problem, one planner, a short human report."""
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
@@ -76,7 +75,7 @@ def _problem(args: argparse.Namespace) -> PlanningProblem:
         raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
     robot = _robot_source(args)
     if args.problem_file is not None:
-        return _with_robot(args.problem_file, robot) if robot else PlanningProblem.load(args.problem_file)
+        return PlanningProblem.load(args.problem_file, robot)
     if robot:
         raise InvalidInputError("--urdf goes with --problem-file: the problems of a suite are for its robot")
     problem = suite_named(args.suite).problem(args.problem)
@@ -111,19 +110,6 @@ def _locked_joint(text: str) -> tuple[str, float]:
     if not joint or not math.isfinite(number):
         raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
     return joint, number
-
-
-def _with_robot(path: Path, robot: dict) -> PlanningProblem:
-    """The problem of a file; its robot is replaced before start and goals are checked against it."""
-    try:
-        data = json.loads(path.read_text())
-        return PlanningProblem.from_dict({**data, "robot": robot} if isinstance(data, dict) else data)
-    except OSError as error:
-        raise InvalidInputError(f"cannot read problem file {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise InvalidInputError(f"{path} is not json: {error}") from error
-    except InvalidInputError as error:
-        raise type(error)(f"{path}: {error}") from error
 
 
 def report(solution: Solution, planner: str) -> list[str]:

@@ -166,14 +166,23 @@ class PlanningProblem:
             raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
     @staticmethod
-    def load(path: Path | str) -> "PlanningProblem":
-        """Read a problem file; errors name the file and the field."""
+    def load(path: Path | str, robot: dict | None = None) -> "PlanningProblem":
+        """Read a problem file; errors name the file and the field.
+
+        robot: what the file's field 'robot' is replaced by, before start and goals are checked against it.
+        """
         try:
-            return PlanningProblem.from_dict(json.loads(Path(path).read_text()))
+            data = json.loads(Path(path).read_text())
         except OSError as error:
             raise InvalidInputError(f"cannot read problem file {path}: {error.strerror}") from error
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        except ValueError as error:
             raise InvalidInputError(f"{path} is not json: {error}") from error
+        except RecursionError as error:
+            raise InvalidInputError(f"{path} is no problem file: its json is nested too deeply") from error
+        if robot is not None and isinstance(data, dict):
+            data["robot"] = robot
+        try:
+            return PlanningProblem.from_dict(data)
         except InvalidInputError as error:
             raise type(error)(f"{path}: {error}") from error
         except CvqmptError as error:

@@ -102,13 +102,18 @@ def test_unknown_choices_name_the_value_and_the_valid_ones(capsys, words, value,
         "reproduce place-task --problems 0",
         "reproduce place-task --seeds x",
         "reproduce place-task --jobs 0",
+        "plan place-task --nope",
+        "plan place-task --cutoff ten",
+        "plan place-task --seed",
+        "warmup nope",
+        "bench",
+        "table",
     ],
 )
-def test_malformed_options_exit_with_2_and_name_the_value(capsys, words):
-    with pytest.raises(SystemExit) as end:
-        main(words.split())
-    assert end.value.code == 2
-    assert words.split()[-1] in capsys.readouterr().err.splitlines()[-1]
+def test_malformed_options_are_one_line_that_names_the_value_and_the_help(capsys, words):
+    line = refused(capsys, *words.split())
+    command = " ".join(["cvqmpt", *[word for word in words.split()[:1] if word in COMMANDS]])
+    assert words.split()[-1] in line and f"{command} --help" in line
 
 
 # ---------------------------------------------------------------- problem files
@@ -154,10 +159,29 @@ def test_a_malformed_field_is_named(capsys, problem_file, data, path, value, wor
     assert word in refused(capsys, "plan", "--problem-file", problem_file)
 
 
-@pytest.mark.parametrize("text", [b"", b"[]", b"null", b'{"a":', b"\xff\xfe\x00"])
-def test_a_file_that_is_no_problem_is_named(capsys, problem_file, text):
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(b"", b"[]", b"null", b'{"a":', b"\xff\xfe\x00"),
+        pytest.param(b"[" * 100_000, id="deep"),
+        pytest.param(b'{"a":' * 100_000 + b"1" + b"}" * 100_000, id="deep and complete"),
+        pytest.param(b'{"start": ' + b"9" * 5000 + b"}", id="a number of 5000 digits"),
+    ],
+)
+@pytest.mark.parametrize("with_robot", [False, True], ids=["own robot", "with --urdf"])
+def test_a_file_that_is_no_problem_is_named(capsys, problem_file, slider_arm_urdf, text, with_robot):
     problem_file.write_bytes(text)
-    assert str(problem_file) in refused(capsys, "plan", "--problem-file", problem_file)
+    robot = ["--urdf", slider_arm_urdf, "--end-effector", "tool"] if with_robot else []
+    assert str(problem_file) in refused(capsys, "plan", "--problem-file", problem_file, *robot)
+
+
+@pytest.mark.parametrize("field", ["start", "robot", "scene", "constraint", "name"])
+def test_a_deeply_nested_field_is_named(capsys, problem_file, data, field):
+    """Shallow enough for json, too deep for an array."""
+    deep = "[" * 200 + "1" + "]" * 200
+    problem_file.write_text(json.dumps({**data, field: "DEEP"}).replace('"DEEP"', deep))
+    line = refused(capsys, "plan", "--problem-file", problem_file)
+    assert str(problem_file) in line and field in line and len(line) < 1000
 
 
 def test_a_start_in_collision_names_the_pair(capsys, problem_file, data):

@@ -351,6 +351,8 @@ class Scene(_EqualByContent):
             return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
         except (OSError, ValueError, CvqmptError) as error:
             raise InvalidInputError(f"scene file {str(path)!r}: {error}") from error
+        except RecursionError as error:
+            raise InvalidInputError(f"scene file {str(path)!r}: its json is nested too deeply") from error
 
     def _with_replaced(self, changed: dict[str, SceneObject]) -> "Scene":
         """Return a scene in which the named objects are exchanged, order kept."""
