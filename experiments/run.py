@@ -26,6 +26,8 @@ from experiments.place_task import UnsolvableProblem
 from experiments.suites import suite_named
 from experiments.warmup import compile_kernels
 
+UNSOLVABLE_FILE = "unsolvable.csv"
+UNSOLVABLE_COLUMNS = ("problem", "reason")
 PR_SET_PDEATHSIG = 1  # Linux: a worker ends with its parent, however that ends
 
 
@@ -130,8 +132,8 @@ def run_experiment(
         for planner in experiment.planners
     ]
     record = provenance(list(command), asdict(experiment), list(experiment.seeds), threads=jobs)
-    unsolvable: dict[str, UnsolvableProblem] = {}
     with RunStore.open(out, experiment.settings(), record) as store:
+        unsolvable = _read_unsolvable(out)
         done = store.done_keys()
         open_tasks = [task for task in tasks if task.key not in done]
         finished = len(tasks) - len(open_tasks)
@@ -143,11 +145,11 @@ def run_experiment(
                 on_progress(finished, len(tasks), None)
             else:
                 store.append(outcome)
+                unsolvable.pop(outcome.problem, None)
                 on_progress(finished, len(tasks), outcome)
+        _write_unsolvable(out, unsolvable)
         store.finish()
-        rows = store.rows()
-    _write_unsolvable(out, unsolvable)
-    return rows
+        return store.rows()
 
 
 def _outcomes(tasks: list[Task], experiment: Experiment, jobs: int):
@@ -172,18 +174,35 @@ def _outcomes(tasks: list[Task], experiment: Experiment, jobs: int):
         pool.shutdown(wait=False, cancel_futures=True)
 
 
+def _read_unsolvable(out: Path) -> dict[str, UnsolvableProblem]:
+    """What earlier runs into the same directory found unsolvable, by name."""
+    path = out / UNSOLVABLE_FILE
+    try:
+        header, *rows = csv.reader(io.StringIO(path.read_text(encoding="utf-8")), strict=True)
+        if tuple(header) != UNSOLVABLE_COLUMNS:
+            raise ValueError(f"the header is {','.join(header)}")
+        return {str(int(name)): UnsolvableProblem(name, reason) for name, reason in rows}
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise RunStoreError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, csv.Error) as error:
+        raise RunStoreError(f"{path} is no list of unsolvable problems ({error}); remove it") from error
+
+
 def _write_unsolvable(out: Path, unsolvable: dict[str, UnsolvableProblem]) -> None:
     """Environments without a problem, with the reason, beside the rows."""
+    path = out / UNSOLVABLE_FILE
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("problem", "reason"))
+    writer.writerow(UNSOLVABLE_COLUMNS)
     writer.writerows(
         (item.name, item.reason) for item in sorted(unsolvable.values(), key=lambda u: int(u.name))
     )
     try:
-        write_text_atomic(out / "unsolvable.csv", text.getvalue())
+        write_text_atomic(path, text.getvalue())
     except OSError as error:
-        raise RunStoreError(f"cannot write {out / 'unsolvable.csv'}: {error.strerror}") from error
+        raise RunStoreError(f"cannot write {path}: {error.strerror}") from error
 
 
 def default_jobs() -> int:

@@ -113,8 +113,25 @@ def test_unsolvable_environments_are_listed_not_hidden(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "_problem", some_unsolvable)
     monkeypatch.setattr(runner, "_warm_up", lambda *setup: None)
     rows = run(Experiment("place-task", (2, 3), ("birrt",), (0,), ENOUGH), tmp_path)
+    listed = tmp_path / "unsolvable.csv"
     assert keys(rows) == [("2", "birrt", 0)]
-    assert (tmp_path / "unsolvable.csv").read_text() == "problem,reason\n3,no start grasp\n"
+    assert listed.read_text() == "problem,reason\n3,no start grasp\n"
+    run(Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH), tmp_path)
+    assert listed.read_text() == "problem,reason\n3,no start grasp\n", "a smaller run forgets nothing"
+    monkeypatch.setattr(runner, "_problem", real)
+    rows = run(Experiment("place-task", (3,), ("birrt",), (0,), ENOUGH), tmp_path)
+    assert len(rows) == 2 and listed.read_text() == "problem,reason\n", "what has rows is solvable"
+
+
+def test_a_damaged_list_of_unsolvable_environments_is_named_before_anything_runs(tmp_path):
+    one = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)
+    run(one, tmp_path)
+    for damaged in (b"", b"problem\n", b"problem,reason\nx,y\n", b"problem,reason\n3\n", b"\xff\n"):
+        (tmp_path / "unsolvable.csv").write_bytes(damaged)
+        with pytest.raises(RunStoreError, match=r"unsolvable\.csv.*remove it"):
+            run(Experiment("place-task", (2,), ("birrt",), (0, 1), ENOUGH), tmp_path)
+    (tmp_path / "unsolvable.csv").unlink()
+    assert len(run(one, tmp_path)) == 1
 
 
 @pytest.mark.parametrize(
