@@ -15,6 +15,7 @@ GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below
 CHORD = 5e-4  # [m, rad] a straight motion between two states may leave the planned bounds by this, |F|
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
+SLIVER = 5e-5  # [m] motions are not looked at more finely than this
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
 
@@ -149,30 +150,29 @@ def chord_on_manifold(space, a, b):
 
 @kernel
 def motion_free(space, a, b):
-    """Whether b and the straight joint motion towards it are free of collision.
+    """Whether b and the straight joint motion towards it are free of collision, every state of it.
 
     A stretch is free when the robot at its middle keeps a distance that no point of it can cover in half
-    the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until they are as
-    short as space.resolution; then their ends alone are checked. The exact backend, which knows no
-    distances, checks every space.resolution.
+    the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until that distance
+    is as small as the margin, which every free state keeps. The exact backend, which knows no distances,
+    checks states every space.resolution.
     """
-    pieces, sweep = 1, 0.0
-    while distance(a, b) > space.resolution * pieces:
-        pieces *= 2
+    pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
     for j in range(a.shape[0]):
         sweep += abs(b[j] - a[j]) * space.swing[j]
-    half = 0.5 * sweep / pieces  # [m] no point moves further in half a piece
+    if space.exact:
+        while distance(a, b) > space.resolution * pieces:
+            pieces *= 2
+    else:
+        while 0.5 * sweep > max(space.margin, SLIVER) * pieces:
+            pieces *= 2
     widest = 1 if space.exact else pieces
     done, span = -1, 1  # pieces found free, after the end itself; length of the stretch looked at
     while done < pieces:
-        if done < 0:
-            place, clearance = 1.0, 0.0
-        elif span == 1:
-            place, clearance = (done + 1) / pieces, 0.0
-        else:
-            place, clearance = (done + 0.5 * span) / pieces, half * span
+        place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
+        clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
         free = clearance <= space.scene.reach - space.robot.largest or span == 1
-        if free and not (span == 1 and done + 1 == pieces):
+        if free:
             _place_between(space, a, b, place)
             free = posed_state_valid(space, space.state, clearance)
         if free:
