@@ -2,11 +2,13 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 from cli.options import positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from experiments.bench import BENCHES
+from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt bench kernels",
@@ -37,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
         raise UnknownChoiceError("bench", args.bench, BENCHES)
     if args.json:
         writable_file(args.json)
+    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     figures = BENCHES[args.bench](args.problems, args.states)
     width = max(len(figure.name) for figure in figures)
     for figure in figures:

@@ -282,9 +282,10 @@ def test_damaged_files_name_file_and_field(tmp_path, damage, named):
 def test_missing_and_broken_files_are_named(tmp_path):
     with pytest.raises(InvalidInputError, match=r"nowhere\.json"):
         Scene.load(tmp_path / "nowhere.json")
-    (tmp_path / "broken.json").write_text('{"name": ')
-    with pytest.raises(InvalidInputError, match=r"broken\.json"):
-        Scene.load(tmp_path / "broken.json")
+    for text in ('{"name": ', "[" * 100_000, '{"name":' * 100_000):
+        (tmp_path / "broken.json").write_text(text)
+        with pytest.raises(InvalidInputError, match=r"broken\.json"):
+            Scene.load(tmp_path / "broken.json")
 
 
 def test_can_link_and_centre_of_mass_positions_agree():
