@@ -16,6 +16,12 @@ from cvqmpt_lab.kernels.kinematics import Kinematics
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 
 FINGER_OPENING = 0.04  # [m] each finger of the Panda's hand, its largest
+CURES = {
+    "continuous": "make it revolute with limits",
+    "mimic": "remove its <mimic>, which frees it,",
+    "floating": "make it fixed",
+    "planar": "make it fixed, or two prismatic joints and a revolute one,",
+}  # of joints that are refused
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:
@@ -159,9 +165,10 @@ def _refuse_unsupported_joints(urdf: Path, locked: Mapping[str, float]) -> None:
     for name, joint in joints.items():
         kind = "mimic" if joint.find("mimic") is not None else joint.get("type")
         if kind not in ("fixed", "revolute", "prismatic") and name not in locked:
+            cure = CURES.get(kind or "", "make it one of these")
             raise InvalidInputError(
                 f"joint {name!r} of {urdf.name} is {kind}: joints must be revolute or prismatic with limits; "
-                f"lock it (--lock {name}=0) or edit the URDF"
+                f"{cure} in the URDF, or lock it: --lock {name}=0, in Python locked={{{name!r}: 0.0}}"
             )
 
 
