@@ -95,7 +95,7 @@ class Expectations:
             return Expectations(dict(record["made_with"]), tuple(outcomes))
         except OSError as error:
             reason = error.strerror or str(error)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             reason = f"not a file of expectations ({error})"
         raise InvalidInputError(f"cannot read {path}: {reason}; write it with: cvqmpt check-tables --update")
 

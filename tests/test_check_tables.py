@@ -117,7 +117,13 @@ def test_expectations_come_back_exactly(few, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["e.json"]
 
 
-@pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}'),
+        pytest.param("[" * 100_000, id="nested too deeply"),
+    ],
+)
 def test_unreadable_expectations_name_the_cure(tmp_path, text):
     path = tmp_path / "e.json"
     if text is not None:

@@ -272,7 +272,7 @@ def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
     write_rows(tmp_path / RUNS_FILE, [a_row()])
     with pytest.raises(RunStoreError, match=r"no provenance\.json.*--out"):
         RunStore.open(tmp_path, CONFIGURATION)
-    for broken in ("not json", "[]", '{"configuration": 3}'):
+    for broken in ("not json", "[]", '{"configuration": 3}', "[" * 100_000):
         (tmp_path / "provenance.json").write_text(broken)
         with pytest.raises(RunStoreError, match=r"provenance\.json"):
             RunStore.open(tmp_path, CONFIGURATION)

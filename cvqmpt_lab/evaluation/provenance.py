@@ -143,7 +143,7 @@ class ProvenanceFile:
             ) from None
         except OSError as error:
             raise RunStoreError(f"cannot read {self.path}: {error.strerror}; use another --out") from error
-        except ValueError as error:  # not UTF-8 or not json
+        except (ValueError, RecursionError) as error:  # not UTF-8, not json, or nested too deeply
             raise RunStoreError(f"{self.path} is not json ({error}); use another --out") from error
         if not isinstance(record, dict) or not isinstance(record.get("configuration"), dict):
             raise RunStoreError(f"{self.path} records no configuration; use another --out")
