@@ -100,21 +100,17 @@ def along(motions, spacing):
 
 
 def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
-    """But for grazes between two states `resolution` apart: rare, and no deeper than half their distance."""
-    checker, resolution = kitchen_space.problem.collision_checker(), kitchen_space.settings.resolution
+    """Every state, not only those that were looked at."""
+    checker = kitchen_space.problem.collision_checker()
     a, b = (ends[answers] for ends in motions)
-    doubtful = ~all_free(kitchen_space, along((a, b), FINE))
-    rest = np.random.default_rng(0).choice(np.flatnonzero(~doubtful), 150, replace=False)
-    asked = np.concatenate([np.flatnonzero(doubtful), rest])
-    grazes = 0
-    for k in asked:
-        states = along((a[k : k + 1], b[k : k + 1]), FINE)[0]
-        hit = states[checker.in_collision_batch(states)]
-        grazes += len(hit) > 0
-        half = 0.5 * resolution * np.abs(b[k] - a[k]) @ kitchen_space.arrays.swing
-        half /= np.linalg.norm(b[k] - a[k])
-        assert all(checker.clearance(q) > -half for q in hit)
-    assert grazes <= 5e-4 * len(a)
+    close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin
+    rest = np.random.default_rng(0).choice(len(a), 300, replace=False)
+    hit = [
+        k
+        for k in {*close, *rest}
+        if checker.in_collision_batch(along((a[k : k + 1], b[k : k + 1]), FINE)[0]).any()
+    ]
+    assert hit == []
 
 
 def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
