@@ -1,0 +1,233 @@
+"""Point clouds of scenes given by their shapes: every epoch sees new ones."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+BOX, CYLINDER, SPHERE = 0, 1, 2
+_ROUNDS = 6
+_MARGIN = 1e-4
+"""Points this close to another shape's surface still lie outside it [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CropSettings:
+    """What of a scene is seen: a ball around `centre`, or the box from `lower` to `upper` [m].
+
+    Defaults of the box are the published crop.
+    """
+
+    kind: Literal["ball", "box"] = "ball"
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)
+    radius: float = 1.2
+    lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)
+    upper: tuple[float, float, float] = (0.88, 0.88, 1.2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudSettings:
+    """How clouds are sampled.
+
+    Attributes
+    ----------
+    points: of each cloud.
+    noise: standard deviation of every coordinate [m].
+    occlusion: probability that only surfaces facing one of up to `cameras` random cameras are seen.
+    density: standard deviation of the logarithm of each shape's density of points.
+    """
+
+    points: int = 1024
+    crop: CropSettings = field(default_factory=CropSettings)
+    noise: float = 0.003
+    occlusion: float = 0.5
+    cameras: int = 4
+    density: float = 0.3
+
+    def without_augmentation(self) -> "CloudSettings":
+        """Uniform by area, no noise, nothing hidden: for validation."""
+        return CloudSettings(points=self.points, crop=self.crop, noise=0.0, occlusion=0.0, density=0.0)
+
+
+def sample_cloud(
+    kind: np.ndarray, size: np.ndarray, pose: np.ndarray, settings: CloudSettings, rng: np.random.Generator
+) -> np.ndarray:
+    """Sample the surface of shapes, without what lies inside others or outside the crop.
+
+    Parameters
+    ----------
+    kind, size, pose
+        (m,), (m, 3), (m, 3, 4): shapes as in `dataset`.
+
+    Returns
+    -------
+    Points (settings.points, 3) float32 [m]. Few that are left are repeated; when nothing is left (an empty
+    scene), the points lie far below the robot, at the crop's lower end.
+    """
+    found: list[np.ndarray] = []
+    missing = settings.points
+    if len(kind):
+        weights = _areas(kind, size) * np.exp(settings.density * rng.standard_normal(len(kind)))
+        cameras = _cameras(settings, rng)
+        chance = 0.7 if cameras is None else 0.5
+        for _ in range(_ROUNDS):
+            draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
+            seen = _visible_points(kind, size, pose, weights, cameras, settings.crop, draw, rng)
+            found.append(seen[:missing])
+            missing -= len(found[-1])
+            if missing == 0:
+                break
+            chance = max(0.05, len(seen) / draw)
+    points = np.concatenate(found) if found else np.empty((0, 3), dtype=np.float32)
+    if len(points) == 0:
+        points = _lowest(settings.crop)
+    if len(points) < settings.points:
+        points = points[np.arange(settings.points) % len(points)]
+    if settings.noise > 0.0:
+        points = points + np.float32(settings.noise) * rng.standard_normal(points.shape, dtype=np.float32)
+    return points
+
+
+def _lowest(crop: CropSettings) -> np.ndarray:
+    below = (
+        (crop.centre[0], crop.centre[1], crop.centre[2] - crop.radius)
+        if crop.kind == "ball"
+        else (0.0, 0.0, crop.lower[2])
+    )
+    return np.array([below], dtype=np.float32)
+
+
+def _areas(kind: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Surface of each shape (m,) [m^2]."""
+    x, y, z = size.T.astype(np.float64)
+    box = 2.0 * (x * y + y * z + z * x)
+    cylinder = 2.0 * np.pi * x * (x + z)
+    sphere = 4.0 * np.pi * x * x
+    return np.where(kind == BOX, box, np.where(kind == CYLINDER, cylinder, sphere))
+
+
+def _cameras(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray | None:
+    """Eyes (c, 3) 2 m from the crop's centre, above its floor plane mostly; None when nothing hides."""
+    hides = rng.random() < settings.occlusion
+    count = int(rng.integers(1, settings.cameras + 1))
+    directions = rng.standard_normal((count, 3))
+    if not hides:
+        return None
+    directions[:, 2] = np.abs(directions[:, 2])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return (np.array(settings.crop.centre) + 2.0 * directions).astype(np.float32)
+
+
+def _visible_points(
+    kind: np.ndarray,
+    size: np.ndarray,
+    pose: np.ndarray,
+    weights: np.ndarray,
+    cameras: np.ndarray | None,
+    crop: CropSettings,
+    draw: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Those of `draw` surface points that are seen, (k, 3) float32."""
+    cumulated = np.cumsum(weights)
+    shape = np.searchsorted(cumulated, rng.random(draw) * cumulated[-1], side="right")
+    shape = np.minimum(shape, len(kind) - 1)
+    local, normal = _surface(kind.take(shape), size.take(shape, axis=0), rng)
+    of_point = pose.reshape(-1, 12).take(shape, axis=0).reshape(-1, 3, 4)
+    rotation = of_point[:, :, :3]
+    points = np.einsum("pij,pj->pi", rotation, local) + of_point[:, :, 3]
+    kept = np.flatnonzero(_inside_crop(points, crop))
+    points, shape = points[kept], shape[kept]
+    if cameras is not None:
+        normals = np.einsum("pij,pj->pi", rotation[kept], normal[kept])
+        towards = normals @ cameras.T - (normals * points).sum(1)[:, None]
+        faces = (towards > 0.0).any(1)
+        points, shape = points[faces], shape[faces]
+    return points[~_inside_others(points, shape, kind, size, pose)]
+
+
+def _surface(kind: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Uniform points on the surfaces of shapes (p,), in their own frames, and outward normals, float32."""
+    local, normal = np.zeros((2, len(kind), 3), dtype=np.float32)
+    for place, sampler in ((BOX, _on_boxes), (CYLINDER, _on_cylinders), (SPHERE, _on_spheres)):
+        rows = np.flatnonzero(kind == place)
+        if len(rows):
+            local[rows], normal[rows] = sampler(size[rows], rng)
+    return local, normal
+
+
+def _on_boxes(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    rows = np.arange(len(size))
+    x, y, z = size.T
+    yz, zx = y * z, z * x
+    threshold = rng.random(len(size), dtype=np.float32) * (yz + zx + x * y)
+    axis = (threshold >= yz).astype(np.int64) + (threshold >= yz + zx)
+    sign = rng.integers(0, 2, len(size)).astype(np.float32) * 2.0 - 1.0
+    local = (rng.random((len(size), 3), dtype=np.float32) - 0.5) * size
+    local[rows, axis] = 0.5 * sign * size[rows, axis]
+    normal = np.zeros_like(local)
+    normal[rows, axis] = sign
+    return local, normal
+
+
+def _on_cylinders(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    radius, height = size[:, 0], size[:, 2]
+    angle = 2.0 * np.pi * rng.random(len(size), dtype=np.float32)
+    place = rng.random(len(size), dtype=np.float32) * (radius + height)  # caps against side, over 2 pi r
+    on_cap = place < radius
+    sign = rng.integers(0, 2, len(size)).astype(np.float32) * 2.0 - 1.0
+    share = rng.random(len(size), dtype=np.float32)
+    distance = radius * np.where(on_cap, np.sqrt(share), 1.0)
+    z = np.where(on_cap, 0.5 * sign, share - 0.5) * height
+    cosine, sine = np.cos(angle), np.sin(angle)
+    local = np.stack((distance * cosine, distance * sine, z), axis=1)
+    flat = np.stack((np.zeros_like(z), np.zeros_like(z), sign), axis=1)
+    round_ = np.stack((cosine, sine, np.zeros_like(z)), axis=1)
+    return local, np.where(on_cap[:, None], flat, round_)
+
+
+def _on_spheres(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    normal = rng.standard_normal((len(size), 3), dtype=np.float32)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    return normal * size[:, :1], normal
+
+
+def _inside_crop(points: np.ndarray, crop: CropSettings) -> np.ndarray:
+    if crop.kind == "box":
+        lower, upper = np.array(crop.lower, dtype=np.float32), np.array(crop.upper, dtype=np.float32)
+        return np.all((points >= lower) & (points <= upper), axis=1)
+    offset = points - np.array(crop.centre, dtype=np.float32)
+    return np.einsum("pi,pi->p", offset, offset) <= crop.radius**2
+
+
+def _inside_others(
+    points: np.ndarray, own: np.ndarray, kind: np.ndarray, size: np.ndarray, pose: np.ndarray
+) -> np.ndarray:
+    """Whether each point (p, 3) of shape `own` (p,) lies inside another shape."""
+    rotation = pose[:, :, :3]
+    origin = np.einsum("mij,mi->mj", rotation, pose[:, :, 3])  # local = R^T (x - t), all shapes at once
+    axes = np.ascontiguousarray(points.T)
+    inside = np.empty((len(kind), len(points)), dtype=bool)
+    for place in (BOX, CYLINDER, SPHERE):
+        rows = np.flatnonzero(kind == place)
+        if len(rows) == 0:
+            continue
+        inverse = np.ascontiguousarray(rotation[rows].transpose(0, 2, 1)).reshape(-1, 3)
+        local = (inverse @ axes).reshape(len(rows), 3, -1)
+        local -= origin[rows, :, None]
+        half = 0.5 * size[rows, :, None] - np.float32(_MARGIN)
+        if place == BOX:
+            np.abs(local, out=local)
+            within = local < half
+            inside[rows] = within[:, 0] & within[:, 1] & within[:, 2]
+            continue
+        np.multiply(local[:, :2], local[:, :2], out=local[:, :2])
+        radius = np.maximum(size[rows, :1] - np.float32(_MARGIN), 0.0) ** 2
+        squares = local[:, 0] + local[:, 1]
+        if place == SPHERE:
+            squares += local[:, 2] * local[:, 2]
+        inside[rows] = squares < radius
+        if place == CYLINDER:
+            inside[rows] &= np.abs(local[:, 2]) < half[:, 2]
+    inside[own, np.arange(len(points))] = False
+    return np.any(inside, axis=0)

@@ -1,0 +1,212 @@
+"""Named trainings as plain tables: model and settings of every stage."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.models.config import (
+    DictionaryConfig,
+    ModelConfig,
+    PointCloudConfig,
+    SequenceConfig,
+    SetAbstractionConfig,
+    TransformerConfig,
+)
+from cvqmpt_lab.models.json_dataclass import from_plain, to_plain
+from cvqmpt_lab.models.mpnet import MPNetConfig
+from cvqmpt_lab.training.dataset import PathDataset
+from cvqmpt_lab.training.loop import OptimizerSettings
+from cvqmpt_lab.training.mpnet import MPNetSettings
+from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings
+from cvqmpt_lab.training.scene_batches import SceneBatchSettings
+from cvqmpt_lab.training.stage1 import Stage1Settings
+from cvqmpt_lab.training.stage2 import Stage2Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """What to train and how.
+
+    Attributes
+    ----------
+    link_features: the model takes link positions, as many as the dataset's kinematics give.
+    model: sizes; joints and features are the dataset's (`model_for`).
+    """
+
+    name: str
+    link_features: bool
+    model: ModelConfig
+    mpnet_model: MPNetConfig
+    stage1: Stage1Settings
+    stage2: Stage2Settings
+    mpnet: MPNetSettings
+
+    def model_for(self, dataset: PathDataset) -> ModelConfig:
+        """The model for a dataset: its joints and features; heads only where it has labels for them.
+
+        Raises
+        ------
+        InvalidInputError
+            When link features are asked for and the dataset has no kinematics.
+        """
+        if self.link_features and dataset.chain is None:
+            raise InvalidInputError(
+                f"profile {self.name!r} takes link positions, but {dataset.folder} has no kinematics; "
+                "set link_features to false"
+            )
+        feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
+        sequence = self.model.sequence
+        sequence = replace(
+            sequence,
+            collision_head=sequence.collision_head and dataset.scenes.probes is not None,
+            connectivity_head=sequence.connectivity_head and dataset.scenes.edges is not None,
+        )
+        return replace(self.model, joint_dim=dataset.joint_dim, feature_dim=feature_dim, sequence=sequence)
+
+    def mpnet_model_for(self, dataset: PathDataset) -> MPNetConfig:
+        """The network for a dataset."""
+        return replace(self.mpnet_model, joint_dim=dataset.joint_dim)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return to_plain(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Build what `to_json` wrote; raises InvalidInputError naming the field that is wrong."""
+        profile = from_plain(cls, data, "profile")
+        for name, clouds in (
+            ("stage2", profile.stage2.batches.cloud),
+            ("mpnet", profile.mpnet.batches.cloud),
+        ):
+            if clouds.points < 2 or clouds.cameras < 1:
+                raise InvalidInputError(f"profile.{name}.batches.cloud: points must be 2, cameras 1 or more")
+        for batches in (profile.stage2.batches, profile.mpnet.batches):
+            if batches.scenes < 1 or batches.paths_per_scene < 1:
+                raise InvalidInputError("profile: scenes and paths_per_scene of batches must be 1 or more")
+        if profile.stage1.batch < 1 or profile.stage1.row < 1:
+            raise InvalidInputError("profile.stage1: batch and row must be 1 or more")
+        if profile.mpnet.batches.cloud.points != profile.mpnet_model.n_points:
+            raise InvalidInputError(
+                "profile.mpnet.batches.cloud.points must equal profile.mpnet_model.n_points"
+            )
+        return profile
+
+
+def _compact() -> Profile:
+    """The model that ships."""
+    cloud = CloudSettings(points=1024)
+    batches = SceneBatchSettings(scenes=16, paths_per_scene=4, spacing=0.2, turn_base=True, cloud=cloud)
+    return Profile(
+        name="compact",
+        link_features=True,
+        model=ModelConfig.compact(feature_dim=3, n_codes=1024),
+        mpnet_model=MPNetConfig(n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3),
+        stage1=Stage1Settings(
+            epochs=10,
+            batch=64,
+            row=32,
+            spacing=0.2,
+            turn_base=True,
+            restart_epochs=7,
+            optimizer=OptimizerSettings(rate=2e-3, schedule="cosine", clip=1000.0),
+        ),
+        stage2=Stage2Settings(
+            epochs=10,
+            batches=batches,
+            optimizer=OptimizerSettings(
+                rate=1e-3, warmup=500, schedule="cosine", epsilon=1e-8, weight_decay=0.01, clip=50.0
+            ),
+        ),
+        mpnet=MPNetSettings(
+            epochs=10,
+            batches=replace(batches, spacing=0.5),  # its clouds have n_points points, too
+            optimizer=OptimizerSettings(rate=5e-4, schedule="cosine", epsilon=1e-8, clip=1.0),
+        ),
+    )
+
+
+def _smoke() -> Profile:
+    """Both stages in less than two minutes on two busy cores: shows that everything runs, no more."""
+    sizes = TransformerConfig(n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1)
+    compact = _compact()
+    points = PointCloudConfig(
+        max_points=256,
+        sa1=SetAbstractionConfig(count=64, radius=0.25, max_neighbours=8, widths=(16, 32)),
+        sa2=SetAbstractionConfig(count=16, radius=0.6, max_neighbours=16, widths=(48, 48)),
+    )
+    model = replace(
+        compact.model,
+        dictionary=replace(compact.model.dictionary, transformer=sizes, n_codes=128),
+        point_cloud=points,
+        sequence=replace(compact.model.sequence, transformer=sizes),
+    )
+    batches = replace(
+        compact.stage2.batches,
+        scenes=8,
+        batches_per_epoch=40,
+        cloud=CloudSettings(points=256),
+        validation_paths=64,
+    )
+    quick = replace(compact.stage2.optimizer, rate=3e-3, warmup=20)
+    return Profile(
+        name="smoke",
+        link_features=True,
+        model=model,
+        mpnet_model=MPNetConfig(
+            n_points=256, encoder_widths=(128, 64), code_dim=28, planner_widths=(256, 128, 64), dropout=0.2
+        ),
+        stage1=replace(
+            compact.stage1,
+            epochs=3,
+            batch=16,
+            batches_per_epoch=100,
+            restart_every=50,
+            restart_epochs=2,
+            validation_paths=100,
+        ),
+        stage2=replace(compact.stage2, epochs=3, batches=batches, optimizer=quick),
+        mpnet=replace(compact.mpnet, epochs=3, batches=replace(batches, spacing=0.5)),
+    )
+
+
+def _published() -> Profile:
+    """Architecture, losses and schedules of the paper; batch sizes and epochs are not recorded there."""
+    crop = CropSettings(kind="box")
+    cloud = CloudSettings(points=2048, crop=crop, noise=0.0, occlusion=1.0, density=0.0)
+    batches = SceneBatchSettings(scenes=16, paths_per_scene=2, cloud=cloud)
+    return Profile(
+        name="published",
+        link_features=False,
+        model=ModelConfig(
+            kind="published",
+            dictionary=DictionaryConfig(),
+            point_cloud=PointCloudConfig(),
+            sequence=SequenceConfig(),
+        ),
+        mpnet_model=MPNetConfig(),
+        stage1=Stage1Settings(
+            epochs=50, batch=64, optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000)
+        ),
+        stage2=Stage2Settings(
+            epochs=20,
+            batches=batches,
+            optimizer=OptimizerSettings(rate=0.15 * 512**-0.5 * 2400**-0.5, warmup=2400),
+        ),
+        mpnet=MPNetSettings(
+            epochs=200,
+            batches=replace(batches, spacing=0.5, cloud=replace(cloud, points=4120)),
+            optimizer=OptimizerSettings(kind="adagrad", rate=1e-3, warmup=1, schedule="constant"),
+        ),
+    )
+
+
+PROFILES = {profile.name: profile for profile in (_smoke(), _compact(), _published())}
+
+
+def profile_named(name: str) -> Profile:
+    """A profile; raises UnknownChoiceError."""
+    if name not in PROFILES:
+        raise UnknownChoiceError("profile", name, PROFILES)
+    return PROFILES[name]

@@ -1,0 +1,138 @@
+"""From a dataset folder and a profile to a trained model: what `cvqmpt train` calls."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
+from cvqmpt_lab.models.weights_folder import CONFIG_FILE, checkpoint_sha256
+from cvqmpt_lab.training.dataset import PathDataset, open_dataset
+from cvqmpt_lab.training.loop import Limits, Outcome, Stage, Tick, train
+from cvqmpt_lab.training.mpnet import MPNetStage
+from cvqmpt_lab.training.profiles import Profile
+from cvqmpt_lab.training.run_folder import MODEL_FOLDER, RunFolder
+from cvqmpt_lab.training.stage1 import Stage1
+from cvqmpt_lab.training.stage2 import Stage2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """One training.
+
+    Attributes
+    ----------
+    stage: of `STAGES`. data, out: folders. dictionary: folder of a stage-1 training or checkpoint.
+    epochs: in all, instead of the profile's. minutes: stop after so many. workers: processes that
+        prepare batches. device: ``cpu``, ``cuda``, or ``auto``. metadata: kept with the model.
+    """
+
+    stage: str
+    profile: Profile
+    data: Path
+    out: Path
+    dictionary: Path | None = None
+    seed: int = 0
+    epochs: int | None = None
+    minutes: float | None = None
+    workers: int = 0
+    device: str = "auto"
+    verify: bool = True
+    metadata: Mapping[str, Any]
+
+
+def _stage1(request: Request, dataset: PathDataset, device: torch.device) -> Stage:
+    profile = request.profile
+    return Stage1(dataset, profile.model_for(dataset), profile.stage1, request.seed, device)
+
+
+def _stage2(request: Request, dataset: PathDataset, device: torch.device) -> Stage:
+    profile, dictionary = request.profile, load_dictionary(request.dictionary)
+    config = profile.model_for(dataset)
+    return Stage2(dataset, dictionary, config, profile.stage2, request.seed, device)
+
+
+def _mpnet(request: Request, dataset: PathDataset, device: torch.device) -> Stage:
+    profile = request.profile
+    return MPNetStage(dataset, profile.mpnet_model_for(dataset), profile.mpnet, request.seed, device)
+
+
+STAGES: dict[str, Callable[[Request, PathDataset, torch.device], Stage]] = {
+    "stage1": _stage1,
+    "stage2": _stage2,
+    "mpnet": _mpnet,
+}
+
+
+def run_training(request: Request, report: Callable[[Tick], None] = lambda tick: None) -> Outcome:
+    """Begin or continue a training; the best model is in ``out/model``.
+
+    Raises
+    ------
+    InvalidInputError, UnknownChoiceError
+        Before anything is written when data, dictionary or folder cannot be used.
+    """
+    if request.stage not in STAGES:
+        raise UnknownChoiceError("stage", request.stage, STAGES)
+    if request.dictionary is not None and request.stage != "stage2":
+        raise InvalidInputError(f"{request.stage} takes no dictionary; leave it out")
+    device = _device(request.device)
+    dataset = open_dataset(request.data, verify=request.verify)
+    stage = STAGES[request.stage](request, dataset, device)
+    plain = request.profile.to_json()
+    epochs = request.epochs or plain[request.stage].pop("epochs")
+    plain[request.stage].pop("epochs", None)
+    settings: dict[str, Any] = {
+        "stage": request.stage,
+        "profile": {
+            name: plain[name] for name in ("name", "link_features", _MODELS[request.stage], request.stage)
+        },
+        "data_sha256": dataset.sha256,
+        "seed": request.seed,
+    }
+    if request.dictionary is not None:
+        settings["dictionary_sha256"] = checkpoint_sha256(_checkpoint_folder(request.dictionary))
+    folder = RunFolder(request.out, settings)
+    chain = None if dataset.chain is None else dataset.chain.to_json()
+    metadata = {
+        **settings,
+        "kinematics": chain,
+        "train_paths": len(dataset.split("train")),
+        "validation_paths": len(dataset.split("validation")),
+        **request.metadata,
+    }
+    limits = Limits(epochs=epochs, minutes=request.minutes, workers=request.workers)
+    return train(stage, folder, limits, request.seed, device, metadata, report)
+
+
+_MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model"}
+
+
+def load_dictionary(folder: Path | None) -> Checkpoint:
+    """Read the checkpoint of stage 1 from its training's folder, or from the checkpoint itself.
+
+    Raises
+    ------
+    InvalidInputError
+        When there is none.
+    """
+    if folder is None:
+        raise InvalidInputError("stage2 needs the dictionary that stage1 trained; name its folder")
+    return load_checkpoint(_checkpoint_folder(folder))
+
+
+def _checkpoint_folder(folder: Path) -> Path:
+    folder = Path(folder)
+    inner = folder / MODEL_FOLDER
+    return inner if not (folder / CONFIG_FILE).is_file() and (inner / CONFIG_FILE).is_file() else folder
+
+
+def _device(name: str) -> torch.device:
+    if name not in ("auto", "cpu", "cuda"):
+        raise UnknownChoiceError("device", name, ("auto", "cpu", "cuda"))
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InvalidInputError("device cuda: torch finds no GPU here; use cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -1,0 +1,175 @@
+"""Batches of scenes with equally many paths each: what stage 2 and MPNet train on."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from torch.utils.data import Dataset
+
+from cvqmpt_lab.training.augmentation import Augmentation, Change
+from cvqmpt_lab.training.dataset import FULL_SCALE, Labels, PathDataset, with_few_trivial
+from cvqmpt_lab.training.loop import batch_seed
+from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
+from cvqmpt_lab.training.stage1 import padded_paths, stage_length
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneBatchSettings:
+    """What a batch is made of.
+
+    Attributes
+    ----------
+    scenes, paths_per_scene: of a batch; a scene with fewer paths repeats one with weight 0.
+    batches_per_epoch: at most; None for all paths.
+    spacing: of waypoints along a path [rad]; None to take all.
+    trivial_share: of paths whose straight line is free, at most.
+    turn_base, mirror: augmentations of scene and paths alike; the second only nearly exact.
+    probes, edges: labelled configurations and motions of each scene, where the dataset has them.
+    validation_paths: at most.
+    """
+
+    scenes: int = 16
+    paths_per_scene: int = 4
+    batches_per_epoch: int | None = None
+    spacing: float | None = None
+    trivial_share: float = 0.15
+    turn_base: bool = False
+    mirror: bool = False
+    probes: int = 24
+    edges: int = 24
+    cloud: CloudSettings = field(default_factory=CloudSettings)
+    validation_paths: int = 512
+
+
+def grouped_by_scene(
+    dataset: PathDataset, rows: np.ndarray, size: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Shuffle paths into groups (g, size) of one scene each, groups shuffled; -1 fills a group up."""
+    rows = rng.permutation(rows)
+    scenes = dataset.paths.scene[rows]
+    order = np.argsort(scenes, kind="stable")
+    rows, scenes = rows[order], scenes[order]
+    begins = np.flatnonzero(np.concatenate(([True], scenes[1:] != scenes[:-1])))
+    inside = np.arange(len(rows)) - begins.repeat(np.diff(np.append(begins, len(rows))))
+    group = np.cumsum(inside % size == 0) - 1
+    groups = np.full((group[-1] + 1, size), -1, dtype=np.int64)
+    groups[group, inside % size] = rows
+    return rng.permutation(groups)
+
+
+class SceneBatches(Dataset):
+    """Batches as dictionaries of arrays.
+
+    cloud (s, points, 3) [m]; u (s p, t, n), counts (s p,), weight (s p,) bool; with labels also probe_u
+    (s, c, n), probe_free (s, c), edge_u (s, e, 2, n), edge_free (s, e). Paths are grouped by scene.
+    """
+
+    def __init__(
+        self,
+        dataset: PathDataset,
+        settings: SceneBatchSettings,
+        augmentation: Augmentation | None,
+        groups: list[np.ndarray],
+        seed: tuple[int, int],
+    ) -> None:
+        """Batches of groups, one list element a batch; without augmentation clouds are plain, too.
+
+        seed: of the training, and the epoch.
+        """
+        self._dataset, self._settings, self._augmentation = dataset, settings, augmentation
+        self._groups, self._seed = groups, seed
+        self._cloud = settings.cloud if augmentation is not None else settings.cloud.without_augmentation()
+
+    @classmethod
+    def of_epoch(
+        cls,
+        dataset: PathDataset,
+        settings: SceneBatchSettings,
+        augmentation: Augmentation,
+        seed: int,
+        epoch: int,
+    ) -> "SceneBatches":
+        """Every training path once, in an order of its own for each epoch."""
+        rng = np.random.default_rng((seed, epoch))
+        rows = with_few_trivial(dataset.paths, dataset.split("train"), settings.trivial_share, rng)
+        groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng)
+        count = max(1, len(groups) // settings.scenes)
+        groups = groups[: max(count * settings.scenes, 1)]
+        batches = np.array_split(groups, count)
+        return cls(
+            dataset,
+            settings,
+            augmentation,
+            batches[: stage_length(count, settings.batches_per_epoch)],
+            (seed, epoch),
+        )
+
+    @classmethod
+    def for_validation(cls, dataset: PathDataset, settings: SceneBatchSettings, seed: int) -> "SceneBatches":
+        """Held-out paths, always the same ones and the same clouds; scenes of a batch differ where they can."""
+        rng = np.random.default_rng(seed)
+        rows = with_few_trivial(dataset.paths, dataset.split("validation"), settings.trivial_share, rng)
+        groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng)
+        order = np.argsort(_rank_in_scene(dataset.paths.scene[groups[:, 0]]), kind="stable")
+        groups = groups[order][: max(2, settings.validation_paths // settings.paths_per_scene)]
+        count = max(1, len(groups) // settings.scenes)
+        return cls(dataset, settings, None, np.array_split(groups, count), (seed, 0))
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def __getitem__(self, batch: int) -> dict[str, np.ndarray]:
+        groups, paths = self._groups[batch], self._dataset.paths
+        rng = np.random.default_rng(batch_seed(*self._seed, batch))
+        rows = np.where(groups < 0, groups[:, :1], groups)
+        scenes = paths.scene[rows[:, 0]]
+        changes = [Change() if self._augmentation is None else self._augmentation.draw(g, rng) for g in rows]
+        clouds = [
+            sample_cloud(*self._dataset.scenes.shapes(int(scene)), self._cloud, rng) for scene in scenes
+        ]
+        u, counts = padded_paths(self._dataset, rows.ravel())
+        result = {
+            "cloud": np.stack(self._changed_points(clouds, changes)),
+            "u": np.concatenate(self._changed_joints(u.reshape(*rows.shape, *u.shape[1:]), changes)),
+            "counts": counts,
+            "weight": (groups >= 0).ravel(),
+        }
+        for name, labels, most in (
+            ("probe", self._dataset.scenes.probes, self._settings.probes),
+            ("edge", self._dataset.scenes.edges, self._settings.edges),
+        ):
+            if labels is not None and most > 0:
+                joints, free = _drawn(labels, scenes, most, rng)
+                changed = self._changed_joints(joints, changes, wrap=name == "probe")
+                result |= {f"{name}_u": np.stack(changed), f"{name}_free": free}
+        return result
+
+    def _changed_points(self, clouds: list[np.ndarray], changes: list[Change]) -> list[np.ndarray]:
+        if self._augmentation is None:
+            return clouds
+        return [self._augmentation.points(c, change) for c, change in zip(clouds, changes, strict=True)]
+
+    def _changed_joints(
+        self, u: np.ndarray, changes: list[Change], *, wrap: bool = False
+    ) -> list[np.ndarray]:
+        if self._augmentation is None:
+            return list(u)
+        return [self._augmentation.joints(part, c, wrap=wrap) for part, c in zip(u, changes, strict=True)]
+
+
+def _drawn(
+    labels: Labels, scenes: np.ndarray, most: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normalised joints (s, c, ..., n) and labels (s, c) of some of each scene's labelled ones."""
+    count = labels.free.shape[1]
+    chosen = rng.permutation(count)[:most]
+    joints = labels.joints[scenes[:, None], chosen].astype(np.float32) / np.float32(FULL_SCALE)
+    return joints, labels.free[scenes[:, None], chosen]
+
+
+def _rank_in_scene(scenes: np.ndarray) -> np.ndarray:
+    """How many earlier entries have the same scene."""
+    order = np.argsort(scenes, kind="stable")
+    begins = np.flatnonzero(np.concatenate(([True], scenes[order][1:] != scenes[order][:-1])))
+    rank = np.empty(len(scenes), dtype=np.int64)
+    rank[order] = np.arange(len(scenes)) - begins.repeat(np.diff(np.append(begins, len(scenes))))
+    return rank
