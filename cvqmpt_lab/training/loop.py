@@ -258,7 +258,7 @@ def _step(stage: Stage, batch: Batch, optimizer: torch.optim.Optimizer, rate: fl
     optimizer.zero_grad(set_to_none=True)
     losses = stage.losses(batch)
     if not torch.isfinite(losses["loss"]):
-        return {"loss": float(losses["loss"])}
+        return {"loss": float(losses["loss"].detach())}
     losses["loss"].backward()
     if stage.optimizer.clip is not None:
         nn.utils.clip_grad_norm_(stage.module.parameters(), stage.optimizer.clip)

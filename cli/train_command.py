@@ -1,0 +1,135 @@
+"""`cvqmpt train`: train the dictionary, the sequence model or MPNet; resumable, needs torch and numpy only."""
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.evaluation.provenance import provenance
+from cvqmpt_lab.models.weights_folder import read_json_object
+from cvqmpt_lab.training.loop import Tick
+from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
+from cvqmpt_lab.training.runner import STAGES, Request, run_training
+
+EXAMPLES = (
+    "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
+    "cvqmpt train stage2 --profile compact --data data/paths --dictionary runs/dictionary --out runs/model",
+    "cvqmpt train mpnet --profile compact --data data/paths --out runs/mpnet --minutes 30",
+    "cvqmpt train stage1 --profile compact --print-config > mine.json",
+    "cvqmpt train stage1 --config mine.json --data data/paths --out runs/mine",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to train, on what, how long and where to."""
+    parser.add_argument("stage", help=f"what to train: {', '.join(STAGES)}")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
+    how.add_argument("--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config")
+    parser.add_argument("--print-config", action="store_true", help="print the profile as json and stop")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="what `cvqmpt data generate` wrote")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="state, curves and model/ go there; continued if it is there"
+    )
+    parser.add_argument("--dictionary", type=Path, metavar="DIR", help="for stage2: --out of stage1")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
+    parser.add_argument("--epochs", type=_positive_int, metavar="N", help="in all (the profile's)")
+    parser.add_argument("--minutes", type=_positive, metavar="M", help="stop and save after M minutes")
+    parser.add_argument("--device", default="auto", help="cpu, cuda, or auto (auto)")
+    parser.add_argument(
+        "--workers", type=int, default=0, metavar="J", help="processes that prepare batches (0: none)"
+    )
+    parser.add_argument("--skip-checksums", action="store_true", help="trust the shards of --data")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, showing loss and time left."""
+    profile = _profile(args)
+    if args.print_config:
+        print(json.dumps(profile.to_json(), indent=2))
+        return 0
+    for name in ("data", "out"):
+        if getattr(args, name) is None:
+            raise InvalidInputError(f"give --{name} DIR")
+    if args.seed < 0 or args.workers < 0:
+        raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
+    command = ["cvqmpt", *sys.argv[1:]]
+    origin = provenance(command, {}, [args.seed])
+    request = Request(
+        stage=args.stage,
+        profile=profile,
+        data=args.data,
+        out=args.out,
+        dictionary=args.dictionary,
+        seed=args.seed,
+        epochs=args.epochs,
+        minutes=args.minutes,
+        workers=args.workers,
+        device=args.device,
+        verify=not args.skip_checksums,
+        metadata={"command": command, "provenance": origin},
+    )
+    outcome = run_training(request, _Line())
+    last = outcome.progress.rows[-1] if outcome.progress.rows else {}
+    for name, value in last.items():
+        print(f"{name:40} {'' if value is None else format(value, '.6g')}")
+    if not outcome.finished:
+        print("stopped after --minutes; the same command continues", file=sys.stderr)
+    print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
+    return 0
+
+
+def _profile(args: argparse.Namespace) -> Profile:
+    if args.config is None:
+        return profile_named(args.profile)
+    return Profile.from_json(read_json_object(args.config))
+
+
+def _positive_int(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+class _Line:
+    """A line of progress on standard error: rewritten on a terminal, else one for each tenth of an epoch."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._loss: float | None = None
+        self._tenth = (-1, -1)
+
+    def __call__(self, tick: Tick) -> None:
+        """Show where the training stands."""
+        self._loss = tick.loss if self._loss is None else 0.98 * self._loss + 0.02 * tick.loss
+        tenth = (tick.epoch, 10 * tick.batch // tick.batches)
+        if not self._terminal and tenth == self._tenth:
+            return
+        self._tenth = tenth
+        left = tick.seconds_left
+        eta = (
+            f"{left:.0f} s"
+            if left < 120
+            else f"{left / 60:.0f} min"
+            if left < 7200
+            else f"{left / 3600:.1f} h"
+        )
+        text = (
+            f"{tick.stage} epoch {tick.epoch + 1}/{tick.epochs} batch {tick.batch}/{tick.batches} "
+            f"loss {self._loss:.4f}, {eta} left"
+        )
+        done = tick.batch == tick.batches and tick.epoch + 1 == tick.epochs
+        if self._terminal:
+            print(f"\r{text:78}", end="\n" if done else "", file=sys.stderr, flush=True)
+        else:
+            print(text, file=sys.stderr, flush=True)
