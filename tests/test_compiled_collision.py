@@ -165,7 +165,7 @@ def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     "on_border",
     [
         False,
-        pytest.param(True, marks=pytest.mark.xfail(strict=True, reason="cells are rounded unlike octomap's")),
+        True,
     ],
 )
 def test_cells_of_large_clouds_are_the_octree_s(panda, on_border):

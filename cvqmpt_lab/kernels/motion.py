@@ -12,7 +12,7 @@ DEVIATION = (
     2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
 )
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-CHORD = 5e-4  # [m, rad] a straight motion between two states may leave the planned bounds by this, |F|
+CHORD = 6e-4  # [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the rim
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
 SLIVER = 5e-5  # [m] motions are not looked at more finely than this
@@ -160,6 +160,8 @@ def motion_free(space, a, b):
     pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
     for j in range(a.shape[0]):
         sweep += abs(b[j] - a[j]) * space.swing[j]
+    if not sweep < np.inf:
+        return False
     if space.exact:
         while distance(a, b) > space.resolution * pieces:
             pieces *= 2

@@ -49,7 +49,7 @@ def _cloud(cloud: PointCloud, T: np.ndarray) -> Cloud:
     points, radius = cloud.points, cloud.radius
     if len(points) > MOST_BALLS:
         edge = 2.0 * radius
-        points = (np.unique(np.floor(points / edge), axis=0) + 0.5) * edge
+        points = (np.unique(np.floor(points * (1.0 / edge)), axis=0) + 0.5) * edge
         radius = 0.5 * np.sqrt(3.0) * edge
     return Cloud(points @ T[:3, :3].T + T[:3, 3], radius)
 

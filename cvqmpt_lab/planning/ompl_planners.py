@@ -115,15 +115,28 @@ class _Search:
         self._information.setStateValidityChecker(self._valid)
         self._information.setup()
         self._problem = ob.ProblemDefinition(self._information)
-        self._problem.addStartState(self._state(start, manifold))
+        self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
+        self._problem.addStartState(self._state(self._inside(start), manifold))
         goal = ob.GoalStates(self._information)
         for q in goals:
-            goal.addState(self._state(q, manifold))
+            goal.addState(self._state(self._inside(q), manifold))
         self._problem.setGoal(goal)
         self._planner = og.RRTConnect(self._information)
         self._planner.setProblemDefinition(self._problem)
         self._planner.setup()
         self.vertices = 0
+
+    def _inside(self, q: np.ndarray) -> np.ndarray:
+        """The configuration itself, or its projection when it stands between the inset and the true bounds.
+
+        OMPL refuses a start or goal off its manifold; the little way there is part of the path.
+        """
+        moved = np.array(q)
+        residual, _ = self._space.residual_and_jacobian(moved)
+        if np.linalg.norm(residual) <= self._space.settings.tolerance or not self._space.project(moved):
+            return q
+        self._moved[moved.tobytes()] = q
+        return moved
 
     def _state(self, q: np.ndarray, manifold: str):
         """An OMPL state at q; atlas and tangent bundle anchor a chart there."""
@@ -180,7 +193,9 @@ class _Search:
         states = [self._read(solution.getState(i)) for i in range(solution.getStateCount())]
         if not all(self._space.project(q) for q in states[1:-1]):
             return None
-        return self._space.checked_path(np.array(states))[0]
+        first, last = (self._moved.get(q.tobytes()) for q in (states[0], states[-1]))
+        whole = [q for q in (first, *states, last) if q is not None]
+        return self._space.checked_path(np.array(whole))[0]
 
 
 def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:

@@ -15,7 +15,7 @@ from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, bounding_radius
 
-MOST_BALLS = 5000  # clouds of more points are checked as octrees, whose cells are only roughly the balls
+MOST_BALLS = 1000  # clouds of more points are checked as octrees, whose cells are only roughly the balls
 
 
 @dataclass(frozen=True)
