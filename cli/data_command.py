@@ -1,0 +1,49 @@
+"""`cvqmpt data`: make training paths."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from cli.options import ProgressBar, positive_int
+from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.scene.families import FAMILIES
+from experiments.run import default_jobs
+from experiments.training_data import Recipe, generate
+from experiments.warmup import compile_kernels
+
+EXAMPLES = (
+    "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
+    "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
+)
+ACTIONS = ("generate",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """How much of what, and where to."""
+    parser.add_argument("action", help=", ".join(ACTIONS))
+    parser.add_argument("--scenes", type=positive_int, required=True, metavar="N", help="scenes in all")
+    parser.add_argument(
+        "--paths-per-scene", type=positive_int, default=50, metavar="M", help="paths tried per scene (50)"
+    )
+    parser.add_argument(
+        "--family", default=",".join(FAMILIES), metavar="A,B", help=f"of {', '.join(FAMILIES)} (all, in turn)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
+    parser.add_argument(
+        "--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Generate what is missing."""
+    if args.action not in ACTIONS:
+        raise UnknownChoiceError("action", args.action, ACTIONS)
+    recipe = Recipe(args.scenes, args.paths_per_scene, tuple(args.family.split(",")), args.seed)
+    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    paths = generate(recipe, args.out, args.jobs, ["cvqmpt", *sys.argv[1:]], ProgressBar("data"))
+    print((args.out / "README.md").read_text())
+    print(f"{paths} paths in {args.out}")
+    return 0

@@ -1,0 +1,83 @@
+"""Near-shortest paths by restarts, each among fewer configurations than the last: the labels of training data.
+
+Once a path of length c is known, a shorter one can only pass through configurations x with
+|x - start| + |x - goal| < c, a prolate hyperspheroid (Gammell, Srinivasa and Barfoot 2014). Later restarts
+sample there alone, and the best path is shortened until that stops helping.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.distributions import Uniform
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
+from cvqmpt_lab.planning.space import ConstrainedSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Spheroid:
+    """Uniform over configurations on motions no longer than `length` from start to goal, clipped to the limits."""
+
+    start: np.ndarray
+    goal: np.ndarray
+    length: float
+    lower: np.ndarray
+    upper: np.ndarray
+    name: str = "spheroid"
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n)."""
+        n, along = len(self.start), self.goal - self.start
+        straight = np.linalg.norm(along)
+        ball = rng.normal(size=(count, n))
+        ball *= (rng.random((count, 1)) ** (1.0 / n)) / np.linalg.norm(ball, axis=1, keepdims=True)
+        across = 0.5 * np.sqrt(max(self.length**2 - straight**2, 0.0))
+        axis = along / straight
+        stretched = across * ball + np.outer((0.5 * self.length - across) * (ball @ axis), axis)
+        return np.clip(0.5 * (self.start + self.goal) + stretched, self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class NearShortestSettings:
+    """How hard to try.
+
+    Attributes
+    ----------
+    restarts: searches after the first path. first, later: iterations that the first search may take (tried
+        twice) and each restart.
+    finish: attempts to shorten the best path in the end.
+    """
+
+    restarts: int = 12
+    first: int = 1500
+    later: int = 200
+    finish: int = 512
+
+
+def near_shortest(
+    space: ConstrainedSpace,
+    start: np.ndarray,
+    goal: np.ndarray,
+    rng: np.random.Generator,
+    settings: NearShortestSettings | None = None,
+) -> Path | None:
+    """The shortest free path (on the manifold) found from start to goal (n,), or None when none was found."""
+    settings = settings or NearShortestSettings()
+    planner, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
+    best: Path | None = None
+    tries = 0
+    while tries < (settings.restarts + 1 if best else 2):
+        tries += 1
+        sampler = Spheroid(start, goal, best.length, lower, upper) if best else Uniform(lower, upper)
+        budget = Budget(iterations=settings.later if best else settings.first)
+        path = planner.plan(space, start, goal[None], sampler, budget, rng).path
+        if path is not None:
+            path = simplify(space, path, rng).path
+            best = path if best is None or path.length < best.length else best
+        if best is not None and best.length < (1.0 + 1e-6) * np.linalg.norm(goal - start):
+            return best  # the straight line
+    if best is None:
+        return None
+    return simplify(space, best, rng, SimplifySettings(attempts=settings.finish, patience=8)).path

@@ -1,0 +1,122 @@
+"""Random scenes of several kinds, for training: what a sampler learns must not depend on one kitchen.
+
+A scene is its family and a number, which seeds numpy's `default_rng`. Evaluation scenes are made elsewhere; the
+kitchen of the tasks, with its published dimensions, is never among these.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.scene.kitchen import KitchenParameters, kitchen
+from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+
+BOARD = 0.02  # [m] thickness of boards and walls
+DIMENSION_SPREAD = 0.2  # dimensions of a random kitchen differ from the published ones by up to this share
+FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")  # beginnings of dimensions that stay
+
+
+def family_scene(family: str, number: int) -> Scene:
+    """Return scene `number` of a family.
+
+    Raises
+    ------
+    UnknownChoiceError
+        If there is no such family; the message lists them.
+    """
+    if family not in FAMILIES:
+        raise UnknownChoiceError("scene family", family, FAMILIES)
+    return FAMILIES[family](number)
+
+
+def _table(number: int) -> Scene:
+    """A table in front of the robot with boxes, cylinders and balls on it."""
+    rng = np.random.default_rng([1, number])
+    depth, width, top = rng.uniform(0.4, 0.8), rng.uniform(0.8, 1.6), rng.uniform(-0.1, 0.45)
+    x, yaw = rng.uniform(0.3, 0.5) + depth / 2, rng.uniform(-0.6, 0.6)
+    T = pose((0.0, 0.0, 0.0), yaw)
+    objects = [SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))]
+    for i in range(rng.integers(3, 10)):
+        place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
+        shape, height = _clutter(rng)
+        objects.append(
+            SceneObject(f"item_{i}", shape, T @ pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi)))
+        )
+    return Scene(f"table_{number}", tuple(objects))
+
+
+def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
+    """A thing that stands on a table, and its height [m]."""
+    kind, height = rng.integers(3), rng.uniform(0.1, 0.4)
+    if kind == 0:
+        return Box((rng.uniform(0.05, 0.25), rng.uniform(0.05, 0.25), height)), height
+    if kind == 1:
+        return Cylinder(rng.uniform(0.03, 0.1), height), height
+    radius = rng.uniform(0.05, 0.12)
+    return Sphere(radius), 2.0 * radius
+
+
+def _shelves(number: int) -> Scene:
+    """One to three open cabinets around the robot, each with boards and things on them."""
+    rng = np.random.default_rng([2, number])
+    objects: list[SceneObject] = []
+    heading = rng.uniform(-np.pi, np.pi)
+    for k in range(rng.integers(1, 4)):
+        T = pose((0.0, 0.0, 0.0), heading + k * rng.uniform(0.9, 1.6))
+        objects.extend(_cabinet(f"cabinet_{k}", T, rng))
+    return Scene(f"shelves_{number}", tuple(objects))
+
+
+def _cabinet(name: str, T: np.ndarray, rng: np.random.Generator) -> list[SceneObject]:
+    """A cabinet open towards the robot: back, two sides, two to four boards, a few things inside."""
+    near, depth, width = rng.uniform(0.35, 0.65), rng.uniform(0.25, 0.4), rng.uniform(0.35, 0.9)
+    boards = rng.integers(2, 5)
+    levels = rng.uniform(-0.3, 0.3) + np.cumsum(np.concatenate([[0.0], rng.uniform(0.25, 0.5, boards - 1)]))
+    x, low, high = near + depth / 2, levels[0], levels[-1]
+    parts = [
+        ("back", (BOARD, width, high - low), (near + depth, 0.0, (low + high) / 2)),
+        ("left", (depth, BOARD, high - low), (x, width / 2, (low + high) / 2)),
+        ("right", (depth, BOARD, high - low), (x, -width / 2, (low + high) / 2)),
+        *((f"board_{i}", (depth, width, BOARD), (x, 0.0, level)) for i, level in enumerate(levels)),
+    ]
+    objects = [SceneObject(f"{name}/{part}", Box(size), T @ pose(place)) for part, size, place in parts]
+    for i in range(rng.integers(0, 4)):
+        radius, height = rng.uniform(0.03, 0.05), rng.uniform(0.08, 0.2)
+        level = levels[rng.integers(0, boards - 1)]
+        place = (x, rng.uniform(-0.4, 0.4) * width, level + BOARD / 2 + height / 2)
+        objects.append(SceneObject(f"{name}/item_{i}", Cylinder(radius, height), T @ pose(place)))
+    return objects
+
+
+def _random_kitchen(number: int) -> Scene:
+    """The parametric kitchen with other dimensions and doors and drawers moved at random."""
+    rng = np.random.default_rng([3, number])
+    published = KitchenParameters()
+    names = [f.name for f in fields(published) if not f.name.startswith(FIXED)]
+    while True:
+        changed = rng.choice(names, size=len(names) // 2, replace=False)
+        values = {
+            name: getattr(published, name) * (1.0 + rng.uniform(-DIMENSION_SPREAD, DIMENSION_SPREAD))
+            for name in changed
+        }
+        try:
+            scene = kitchen(replace(published, **values))
+        except InvalidInputError:  # pieces do not fit each other
+            continue
+        for joint in scene.articulations:
+            if rng.random() < 0.4:
+                scene = scene.with_joint(joint.name, rng.uniform(joint.lower, joint.upper))
+        return Scene(f"kitchen_{number}", scene.objects)
+
+
+FAMILIES: Mapping[str, Callable[[int], Scene]] = {
+    "cubes-spheres": random_scene,
+    "table": _table,
+    "shelves": _shelves,
+    "kitchen-like": _random_kitchen,
+}
+"""Scene makers by name; "cubes-spheres" is the published training family."""
