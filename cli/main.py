@@ -14,8 +14,8 @@ COMMANDS = {
     "table": "render the tables of a results directory",
     "problems": "list or export the problems of a suite",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
-    "train": "train the dictionary, the sequence model or MPNet",
     "data": "make training paths",
+    "train": "train the dictionary, the sequence model or MPNet",
     "bench": "measure kernels, collision checks, planners and free motions",
     "warmup": "compile all kernels ahead of time",
 }

@@ -210,7 +210,7 @@ def _shard(recipe: Recipe, number: int) -> tuple[int, int, bytes]:
         columns["probe_free"].append(_valid(space, probes))
     waypoints = [_packed(_spaced(label.path)) for _, label in labels]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for _, label in labels]
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         "family": np.array(columns["family"], np.uint8),
         "scene_seed": np.array(columns["scene_seed"], np.int64),
         "shape_start": np.array(shape_start, np.int32),
@@ -228,7 +228,7 @@ def _shard(recipe: Recipe, number: int) -> tuple[int, int, bytes]:
         "probe_free": np.array(columns["probe_free"], bool),
     }
     file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, **arrays)
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
     return len(indices), len(labels), file.getvalue()
 
 

@@ -30,7 +30,7 @@ class Spheroid:
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n)."""
         n, along = len(self.start), self.goal - self.start
-        straight = np.linalg.norm(along)
+        straight = float(np.linalg.norm(along))
         ball = rng.normal(size=(count, n))
         ball *= (rng.random((count, 1)) ** (1.0 / n)) / np.linalg.norm(ball, axis=1, keepdims=True)
         across = 0.5 * np.sqrt(max(self.length**2 - straight**2, 0.0))

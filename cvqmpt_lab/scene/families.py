@@ -81,12 +81,12 @@ def _cabinet(name: str, T: np.ndarray, rng: np.random.Generator) -> list[SceneOb
         ("back", (BOARD, width, high - low), (near + depth, 0.0, (low + high) / 2)),
         ("left", (depth, BOARD, high - low), (x, width / 2, (low + high) / 2)),
         ("right", (depth, BOARD, high - low), (x, -width / 2, (low + high) / 2)),
-        *((f"board_{i}", (depth, width, BOARD), (x, 0.0, level)) for i, level in enumerate(levels)),
+        *((f"board_{i}", (depth, width, BOARD), (x, 0.0, float(level))) for i, level in enumerate(levels)),
     ]
     objects = [SceneObject(f"{name}/{part}", Box(size), T @ pose(place)) for part, size, place in parts]
     for i in range(rng.integers(0, 4)):
         radius, height = rng.uniform(0.03, 0.05), rng.uniform(0.08, 0.2)
-        level = levels[rng.integers(0, boards - 1)]
+        level = float(levels[rng.integers(0, boards - 1)])
         place = (x, rng.uniform(-0.4, 0.4) * width, level + BOARD / 2 + height / 2)
         objects.append(SceneObject(f"{name}/item_{i}", Cylinder(radius, height), T @ pose(place)))
     return objects
