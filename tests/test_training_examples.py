@@ -228,6 +228,10 @@ def test_groups_have_each_path_once_and_one_scene(dataset):
     groups = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0))
     assert sorted(groups[groups >= 0].tolist()) == rows.tolist()
     assert all(len(set(dataset.paths.scene[g[g >= 0]])) == 1 for g in groups) and (groups[:, 0] >= 0).all()
+    key = np.linspace(1.0, 0.0, len(dataset.paths))
+    by_key = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0), key)
+    assert sorted(by_key[by_key >= 0].tolist()) == rows.tolist()
+    assert all((np.diff(key[g[g >= 0]]) > 0).all() for g in by_key)
 
 
 def test_batches_repeat_by_seed_and_differ_by_epoch(dataset):

@@ -178,7 +178,10 @@ def test_the_published_model_trains(tmp_path, data):
     }
 
 
-def test_half_precision_and_no_labels(tmp_path, dictionary):
+def test_half_precision_and_no_labels(tmp_path, data, dictionary):
+    half = dataclasses.replace(TINY, stage2=dataclasses.replace(TINY.stage2, precision="bf16"))
+    go("stage2", data, tmp_path / "half", half, dictionary=dictionary, epochs=1)
+    assert np.isfinite(float(curves(tmp_path / "half")[0]["train_free"]))
     # same joints and chain, other scenes, no labels: those heads are left out
     data = write_dataset(tmp_path / "d", labels=False, seed=3)
     stage2 = dataclasses.replace(TINY.stage2, precision="bf16")

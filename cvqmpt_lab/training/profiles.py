@@ -97,7 +97,7 @@ class Profile:
 def _compact() -> Profile:
     """The model that ships."""
     cloud = CloudSettings(points=1024)
-    batches = SceneBatchSettings(scenes=16, paths_per_scene=4, spacing=0.2, turn_base=True, cloud=cloud)
+    batches = SceneBatchSettings(scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud)
     return Profile(
         name="compact",
         link_features=True,
@@ -145,6 +145,7 @@ def _smoke() -> Profile:
     batches = replace(
         compact.stage2.batches,
         scenes=8,
+        paths_per_scene=4,
         batches_per_epoch=40,
         cloud=CloudSettings(points=256),
         validation_paths=64,

@@ -11,6 +11,9 @@ from cvqmpt_lab.training.loop import batch_seed
 from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.training.stage1 import padded_paths, stage_length
 
+_SIDE_NOISE = 0.4
+"""Of twice the middle of a path's first joint, normalised, by which paths of a scene are grouped."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SceneBatchSettings:
@@ -41,12 +44,19 @@ class SceneBatchSettings:
 
 
 def grouped_by_scene(
-    dataset: PathDataset, rows: np.ndarray, size: int, rng: np.random.Generator
+    dataset: PathDataset,
+    rows: np.ndarray,
+    size: int,
+    rng: np.random.Generator,
+    key: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Shuffle paths into groups (g, size) of one scene each, groups shuffled; -1 fills a group up."""
+    """Shuffle paths into groups (g, size) of one scene each, groups shuffled; -1 fills a group up.
+
+    Within a scene, paths of similar `key` (p,), one number for every path of the dataset, come together.
+    """
     rows = rng.permutation(rows)
     scenes = dataset.paths.scene[rows]
-    order = np.argsort(scenes, kind="stable")
+    order = np.argsort(scenes, kind="stable") if key is None else np.lexsort((key[rows], scenes))
     rows, scenes = rows[order], scenes[order]
     begins = np.flatnonzero(np.concatenate(([True], scenes[1:] != scenes[:-1])))
     inside = np.arange(len(rows)) - begins.repeat(np.diff(np.append(begins, len(rows))))
@@ -91,7 +101,10 @@ class SceneBatches(Dataset):
         """Every training path once, in an order of its own for each epoch."""
         rng = np.random.default_rng((seed, epoch))
         rows = with_few_trivial(dataset.paths, dataset.split("train"), settings.trivial_share, rng)
-        groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng)
+        key = None
+        if settings.turn_base:  # paths on the same side of the robot can be turned further together
+            key = augmentation.least + augmentation.most + rng.uniform(0.0, _SIDE_NOISE, len(dataset.paths))
+        groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng, key)
         count = max(1, len(groups) // settings.scenes)
         groups = groups[: max(count * settings.scenes, 1)]
         batches = np.array_split(groups, count)
