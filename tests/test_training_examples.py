@@ -8,11 +8,13 @@ import torch
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.config import SetAbstractionConfig
+from cvqmpt_lab.models.point_cloud_encoder import SetAbstraction, TokenLevel
 from cvqmpt_lab.training.augmentation import Augmentation, Change
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
-from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene
+from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
 from cvqmpt_lab.training.sequences import code_sequences
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
@@ -250,6 +252,22 @@ def test_batches_repeat_by_seed_and_differ_by_epoch(dataset):
     for name, array in same[1].items():
         np.testing.assert_array_equal(batch[name], array)
     assert not np.array_equal(batch["cloud"], other[1]["cloud"])
+
+
+def test_a_wrong_cloud_is_of_another_scene():
+    assert other_scenes(np.array([3, 3, 5, 3])).tolist() == [2, 2, 3, 2]
+    assert other_scenes(np.array([3, 3])) is None
+
+
+def test_training_reduces_points_as_prediction_does():
+    torch.manual_seed(0)
+    layer = SetAbstraction(
+        3, SetAbstractionConfig(count=6, radius=0.5, max_neighbours=8, widths=(8, 8))
+    ).eval()
+    points = torch.rand(2, 40, 3)
+    learning = layer(TokenLevel(points, points)).features
+    with torch.no_grad():
+        torch.testing.assert_close(layer(TokenLevel(points, points)).features, learning)
 
 
 def test_validation_is_always_the_same_and_plain(dataset):

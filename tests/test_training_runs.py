@@ -144,7 +144,7 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
 def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, dictionary):
     assert go("stage2", data, tmp_path / "s2", dictionary=dictionary).finished
     rows = curves(tmp_path / "s2")
-    for name in ("cross_entropy", "free_auc", "connected_auc", "refinement_nll"):
+    for name in ("cross_entropy", "cross_entropy_cubes", "free_auc", "connected_auc", "refinement_nll"):
         assert float(rows[0][f"validation_{name}"]) != float(rows[0][f"validation_wrong_cloud_{name}"])
     checkpoint = load_checkpoint(tmp_path / "s2" / "model")
     model, words = checkpoint.sequence_model, checkpoint.dictionary

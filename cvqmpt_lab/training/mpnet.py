@@ -13,7 +13,7 @@ from cvqmpt_lab.training.augmentation import Augmentation
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.loop import Batch, OptimizerSettings
 from cvqmpt_lab.training.run_folder import Progress
-from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings
+from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, other_scenes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +83,9 @@ class MPNetStage:
             arrays = self._validation[index]
             batch = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
             own.append(float(self._squared_error(batch, batch["cloud"], stochastic=False)))
-            if len(batch["cloud"]) > 1:
-                rolled = batch["cloud"].roll(1, 0)
-                wrong.append(float(self._squared_error(batch, rolled, stochastic=False)))
+            others = other_scenes(arrays["scene"])
+            if others is not None:
+                wrong.append(float(self._squared_error(batch, batch["cloud"][others], stochastic=False)))
         return {
             "squared_error": sum(own) / len(own),
             "wrong_cloud_squared_error": sum(wrong) / len(wrong) if wrong else None,

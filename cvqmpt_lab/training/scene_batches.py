@@ -69,7 +69,7 @@ def grouped_by_scene(
 class SceneBatches(Dataset):
     """Batches as dictionaries of arrays.
 
-    cloud (s, points, 3) [m]; u (s p, t, n), counts (s p,), weight (s p,) bool; with labels also probe_u
+    scene (s,); cloud (s, points, 3) [m]; u (s p, t, n), counts (s p,), weight (s p,) bool; with labels also probe_u
     (s, c, n), probe_free (s, c), edge_u (s, e, 2, n), edge_free (s, e). Paths are grouped by scene.
     """
 
@@ -124,6 +124,8 @@ class SceneBatches(Dataset):
         groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng)
         order = np.argsort(_rank_in_scene(dataset.paths.scene[groups[:, 0]]), kind="stable")
         groups = groups[order][: max(2, settings.validation_paths // settings.paths_per_scene)]
+        family = dataset.scenes.family[dataset.paths.scene[groups[:, 0]]]
+        groups = groups[np.argsort(family, kind="stable")]  # a wrong cloud is mostly of the same family
         count = max(1, len(groups) // settings.scenes)
         return cls(dataset, settings, None, np.array_split(groups, count), (seed, 0))
 
@@ -145,6 +147,7 @@ class SceneBatches(Dataset):
             "u": np.concatenate(self._changed_joints(u.reshape(*rows.shape, *u.shape[1:]), changes)),
             "counts": counts,
             "weight": (groups >= 0).ravel(),
+            "scene": scenes,
         }
         for name, labels, most in (
             ("probe", self._dataset.scenes.probes, self._settings.probes),
@@ -167,6 +170,15 @@ class SceneBatches(Dataset):
         if self._augmentation is None:
             return list(u)
         return [self._augmentation.joints(part, c, wrap=wrap) for part, c in zip(u, changes, strict=True)]
+
+
+def other_scenes(scene: np.ndarray) -> np.ndarray | None:
+    """For each entry the place of the next one of another scene; None when all are of one scene."""
+    if (scene == scene[0]).all():
+        return None
+    count = len(scene)
+    cycle = (np.arange(count)[:, None] + np.arange(count)) % count
+    return cycle[np.arange(count), (scene[cycle] != scene[:, None]).argmax(1)]
 
 
 def _drawn(

@@ -22,7 +22,7 @@ from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.loop import Batch, OptimizerSettings
 from cvqmpt_lab.training.run_folder import Progress
-from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings
+from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, other_scenes
 from cvqmpt_lab.training.sequences import CodeSequences, code_sequences
 
 
@@ -59,10 +59,14 @@ class _Examples:
 
 @dataclass(frozen=True, eq=False)
 class _Predictions:
-    """What a model says about a batch: logits (r, classes) against targets (r,), and what heads need."""
+    """What a model says about a batch: logits (r, classes) against targets (r,), and what heads need.
+
+    row: (r,), the sequence that each prediction belongs to.
+    """
 
     logits: Tensor
     targets: Tensor
+    row: Tensor
     scene: CompactScene | None = None
     refinement_nll: Tensor | None = None
 
@@ -163,14 +167,15 @@ class Stage2:
         for index in range(len(self._validation)):
             arrays = self._validation[index]
             batch = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
-            examples = self._examples(batch)
-            own.add(*self._evaluate(batch, batch["cloud"], examples))
-            if len(batch["cloud"]) > 1:
-                wrong.add(*self._evaluate(batch, batch["cloud"].roll(1, 0), examples))
+            examples, others = self._examples(batch), other_scenes(arrays["scene"])
+            families = self.dataset.scenes.family[arrays["scene"]]
+            own.add(*self._evaluate(batch, batch["cloud"], examples, families))
+            if others is not None:
+                wrong.add(*self._evaluate(batch, batch["cloud"][others], examples, families))
         result: dict[str, float | None] = {}
-        others = wrong.means()
+        of_wrong = wrong.means()
         for name, value in own.means().items():
-            result |= {name: value, f"wrong_cloud_{name}": others.get(name)}
+            result |= {name: value, f"wrong_cloud_{name}": of_wrong.get(name)}
         return result
 
     def save(self, folder: Path, metadata: Mapping[str, Any]) -> None:
@@ -230,7 +235,8 @@ class Stage2:
                 rows = torch.arange(len(sequences.run), device=cloud.device)[:, None]
                 in_run = sequences.in_run & examples.weight[:, None]
                 nll = refinement_loss(refined[rows, sequences.run], examples.u, in_run)
-        return _Predictions(output.logits.float()[counted], sequences.targets[counted], scene, nll)
+        row = counted.nonzero()[:, 0]
+        return _Predictions(output.logits.float()[counted], sequences.targets[counted], row, scene, nll)
 
     def _predict_published(
         self, model: PublishedSequenceModel, cloud: Tensor, examples: _Examples
@@ -247,7 +253,7 @@ class Stage2:
         logits = model.prefix_logits(
             context[rows], sequences.codes[rows], self.dictionary.quantizer, torch.cat(lengths)
         )
-        return _Predictions(logits.float(), torch.cat(targets))
+        return _Predictions(logits.float(), torch.cat(targets), torch.tensor(rows))
 
     def _head_outputs(
         self, batch: Batch, scene: CompactScene, *, own_waypoints: bool
@@ -273,13 +279,17 @@ class Stage2:
         return outputs
 
     def _evaluate(
-        self, batch: Batch, cloud: Tensor, examples: _Examples
+        self, batch: Batch, cloud: Tensor, examples: _Examples, families: np.ndarray
     ) -> tuple[dict[str, tuple[float, float]], dict[str, tuple[Tensor, Tensor]]]:
         """Sums and counts of mean values; logits and labels of heads."""
         predictions = self._predict(cloud, examples)
-        count = float(len(predictions.targets))
-        entropy = F.cross_entropy(predictions.logits, predictions.targets, reduction="sum")
-        sums = {"cross_entropy": (float(entropy), count)}
+        entropy = F.cross_entropy(predictions.logits, predictions.targets, reduction="none").cpu().double()
+        sums = {"cross_entropy": (float(entropy.sum()), float(len(entropy)))}
+        rows_of_scene = len(examples.weight) // len(families)
+        family = families[predictions.row.cpu().numpy() // rows_of_scene]
+        for number in np.unique(family).tolist():
+            chosen = entropy[torch.from_numpy(family == number)]
+            sums[f"cross_entropy_{self.dataset.families[number]}"] = (float(chosen.sum()), float(len(chosen)))
         if predictions.refinement_nll is not None:
             waypoints = float((examples.sequences.in_run & examples.weight[:, None]).sum())
             sums["refinement_nll"] = (float(predictions.refinement_nll) * waypoints, waypoints)
