@@ -44,7 +44,7 @@ def bench_collision(problem: PlanningProblem, states: int) -> list[Figure]:
     rng = np.random.default_rng(0)
     space = ConstrainedSpace(problem)
     some = problem.robot.random_configurations(rng, STATES)
-    free = _free(space, some)
+    free = space.valid_batch(some)
     exact = problem.collision_checker()
     few = some[free][:1000]
     figures = [
@@ -77,7 +77,7 @@ def near_contact(
     found, missing = [np.empty((0, problem.robot.dof))], count
     while missing > 0:
         states = problem.robot.random_configurations(rng, max(2 * missing, 64))
-        free = _free(space, states)
+        free = space.valid_batch(states)
         pairs = min(int(free.sum()), int((~free).sum()), missing)
         contact = states[free][:pairs].copy()
         _towards_contact(
@@ -90,12 +90,6 @@ def near_contact(
     return np.concatenate(found)
 
 
-def _free(space: ConstrainedSpace, states: np.ndarray) -> np.ndarray:
-    out = np.zeros(len(states), dtype=bool)
-    states_valid(space.arrays, states, out)
-    return out
-
-
 def _check_time(name: str, arrays: Space, states: np.ndarray) -> Figure:
     out = np.zeros(len(states), dtype=bool)
     return timed(f"state check: {name}", lambda: states_valid(arrays, states, out), len(states))
@@ -105,7 +99,7 @@ def _agreement(
     problem: PlanningProblem, space: ConstrainedSpace, name: str, states: np.ndarray
 ) -> list[Figure]:
     """States in which the compiled checker and coal differ."""
-    free = _free(space, states)
+    free = space.valid_batch(states)
     exact_free = ~problem.collision_checker().in_collision_batch(states)
     false_alarms = 100.0 * (~free & exact_free).sum() / max(int(exact_free.sum()), 1)
     return [

@@ -21,7 +21,6 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.kernels.kinematics import link_poses
 from cvqmpt_lab.kernels.motion import motion_free
-from cvqmpt_lab.kernels.space import states_valid
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.planning.result import Path as Motion
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -30,6 +29,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.training.dataset import DESCRIPTION_FILE, FULL_SCALE, INDEX_FILE, SCHEMA, SHARDS_FOLDER
 
 FIRST_SCENE = 10_000_000
 SCENES_PER_SEED = 1_000_000
@@ -41,7 +41,6 @@ TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a sec
 MOST_TRIVIAL = 0.15  # share of a scene's paths that may be straight lines
 REDRAWS = 10  # pairs drawn to find one that is not trivial
 CANDIDATES = 512  # configurations drawn per scene to choose starts and goals from
-FULL_SCALE = 65535.0
 TABLE = ("shard", "sha256", "scenes", "paths")
 
 
@@ -119,7 +118,7 @@ def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
     """Write dataset.json, or check that it says the same."""
     robot = panda()
     settings = json.loads(json.dumps(asdict(recipe)))
-    path = out / "dataset.json"
+    path = out / DESCRIPTION_FILE
     if path.exists():
         existing = json.loads(path.read_text()).get("recipe")
         if existing != settings:
@@ -128,13 +127,13 @@ def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
             )
         return
     try:
-        (out / "shards").mkdir(parents=True, exist_ok=True)
+        (out / SHARDS_FOLDER).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidInputError(f"cannot write to {out}: {error.strerror}; choose another --out") from error
     kinematics, (hand, T) = robot.kinematics, robot.end_effector_link
     points = [*range(1, robot.dof), hand - 1]
     description = {
-        "schema": 1,
+        "schema": SCHEMA,
         "robot": robot.name,
         "lower": robot.lower.tolist(),
         "upper": robot.upper.tolist(),
@@ -153,16 +152,16 @@ def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
 
 def _table(out: Path) -> list[dict[str, str]]:
     """Rows of shards.csv whose shard is there."""
-    path = out / "shards.csv"
+    path = out / INDEX_FILE
     if not path.exists():
         return []
     with path.open(newline="") as file:
-        return [row for row in csv.DictReader(file) if (out / "shards" / f"{row['shard']}.npz").exists()]
+        return [row for row in csv.DictReader(file) if (out / SHARDS_FOLDER / f"{row['shard']}.npz").exists()]
 
 
 def _append(out: Path, name: str, scenes: int, paths: int, content: bytes) -> None:
     """Put a finished shard on disk, then into the table."""
-    path, table = out / "shards" / f"{name}.npz", out / "shards.csv"
+    path, table = out / SHARDS_FOLDER / f"{name}.npz", out / INDEX_FILE
     temporary = path.with_suffix(".tmp")
     try:
         temporary.write_bytes(content)
@@ -207,8 +206,8 @@ def _shard(recipe: Recipe, number: int) -> tuple[int, int, bytes]:
         columns["family"].append(family)
         columns["scene_seed"].append(scene_number)
         columns["probe_q"].append(_packed(probes))
-        columns["probe_free"].append(_valid(space, probes))
-    waypoints = [_packed(_spaced(label.path)) for _, label in labels]
+        columns["probe_free"].append(space.valid_batch(probes))
+    waypoints = [_packed(label.path.spaced(SPACING)) for _, label in labels]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for _, label in labels]
     arrays: dict[str, np.ndarray] = {
         "family": np.array(columns["family"], np.uint8),
@@ -246,18 +245,12 @@ def _space(scene: Scene) -> ConstrainedSpace:
     return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
 
 
-def _valid(space: ConstrainedSpace, configurations: np.ndarray) -> np.ndarray:
-    out = np.zeros(len(configurations), dtype=bool)
-    states_valid(space.arrays, configurations, out)
-    return out
-
-
 def _labels(
     space: ConstrainedSpace, rng: np.random.Generator, recipe: Recipe, with_twins: bool
 ) -> list[_Label]:
     """Labelled paths of one scene: half of the starts and goals anywhere, half with the hand near an obstacle."""
     candidates = space.robot.random_configurations(rng, CANDIDATES)
-    candidates = candidates[_valid(space, candidates)]
+    candidates = candidates[space.valid_batch(candidates)]
     if len(candidates) < 2:
         return []
     tasklike = candidates[_near_obstacles(space, candidates)]
@@ -305,13 +298,6 @@ def _near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.n
     return near
 
 
-def _spaced(path: Motion) -> np.ndarray:
-    """Waypoints (m, n) at most SPACING apart along a path, evenly, ends included."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.states, axis=0), axis=1))])
-    marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / SPACING)) + 1))
-    return np.stack([np.interp(marks, along, joint) for joint in path.states.T], axis=1)
-
-
 def _packed(configurations: np.ndarray) -> np.ndarray:
     """Joints as 16-bit shares of their range."""
     robot = panda()
@@ -321,12 +307,12 @@ def _packed(configurations: np.ndarray) -> np.ndarray:
 
 def dataset_card(out: Path) -> str:
     """What a dataset holds, counted from its shards, and how far two labels of one problem lie apart."""
-    description = json.loads((out / "dataset.json").read_text())
+    description = json.loads((out / DESCRIPTION_FILE).read_text())
     lower, upper = np.array(description["lower"]), np.array(description["upper"])
     counts = {name: [0, 0, 0, 0.0, 0.0] for name in description["families"]}
     twins: dict[str, list[tuple[float, float]]] = {name: [] for name in description["families"]}
     for row in _table(out):
-        with np.load(out / "shards" / f"{row['shard']}.npz") as shard:
+        with np.load(out / SHARDS_FOLDER / f"{row['shard']}.npz") as shard:
             data = {key: shard[key] for key in shard.files}
         joints = lower + data["waypoints"] / FULL_SCALE * (upper - lower)
         for name, k in zip(description["families"], range(len(counts)), strict=True):

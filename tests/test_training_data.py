@@ -11,9 +11,9 @@ from cvqmpt_lab.planning.near_shortest import NearShortestSettings, Spheroid, ne
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.collision import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
-from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.dataset import FULL_SCALE, open_dataset
 from experiments import training_data
-from experiments.training_data import FULL_SCALE, Recipe, dataset_card, generate
+from experiments.training_data import Recipe, dataset_card, generate
 
 TINY = Recipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
 

@@ -56,9 +56,7 @@ class GuidedBiRRT:
 
     def _around(self, path: Path, uniform: Uniform) -> GaussianMixture:
         """Equal Gaussians at waypoints `spacing` apart along a path, and a uniform share."""
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.states, axis=0), axis=1))])
-        marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / self.spacing)) + 1))
-        means = np.stack([np.interp(marks, along, joint) for joint in path.states.T], axis=1)
+        means = path.spaced(self.spacing)
         k, n = means.shape
         covariances = np.tile(self.std**2 * np.eye(n), (k, 1, 1))
         return GaussianMixture(means, covariances, np.full(k, 1.0 / k), uniform, self.uniform_share, "guide")

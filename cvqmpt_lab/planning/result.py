@@ -57,6 +57,12 @@ class Path:
         """Sum of Euclidean distances between neighbouring states [rad]."""
         return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
 
+    def spaced(self, spacing: float) -> np.ndarray:
+        """States (k, n), k >= 2, evenly along the path and at most `spacing` [rad] of it apart, ends included."""
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))])
+        marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
+        return np.stack([np.interp(marks, along, joint) for joint in self.states.T], axis=1)
+
     def reversed(self) -> "Path":
         """The same motion backwards."""
         return Path(self.states[::-1].copy())

@@ -142,6 +142,13 @@ class ConstrainedSpace:
         self.reraise()
         return answer
 
+    def valid_batch(self, configurations: np.ndarray) -> np.ndarray:
+        """Whether each row of configurations (b, n) is free of collision, (b,) bool."""
+        out = np.zeros(len(configurations), dtype=bool)
+        kernels.states_valid(self.arrays, configurations, out)
+        self.reraise()
+        return out
+
     def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """F(q) (m,) and dF/dq (m, n)."""
         residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
