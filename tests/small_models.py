@@ -1,0 +1,72 @@
+"""Small VQ-MPT checkpoints with random weights: real networks that predict nothing sensible."""
+
+import dataclasses
+
+import torch
+from training_data import kinematics
+
+from cvqmpt_lab.models.checkpoint import Checkpoint, build_sequence_model
+from cvqmpt_lab.models.config import (
+    DictionaryConfig,
+    ModelConfig,
+    PointCloudConfig,
+    SequenceConfig,
+    SetAbstractionConfig,
+    TransformerConfig,
+)
+from cvqmpt_lab.models.dictionary import Dictionary
+from cvqmpt_lab.prediction.configurations import robot_signature
+
+SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)
+POINTS = PointCloudConfig(
+    max_points=60,
+    sa1=SetAbstractionConfig(count=20, radius=0.4, max_neighbours=8, widths=(8, 12)),
+    sa2=SetAbstractionConfig(count=6, radius=0.8, max_neighbours=8, widths=(10, 14)),
+)
+METADATA = {"kinematics": kinematics()}
+
+
+def small_config(refinement=True, feature_dim=12):
+    base = ModelConfig.compact(feature_dim=feature_dim, n_codes=64)
+    return dataclasses.replace(
+        base,
+        dictionary=dataclasses.replace(base.dictionary, transformer=SIZES),
+        point_cloud=POINTS,
+        sequence=SequenceConfig(
+            context=None,
+            transformer=SIZES,
+            max_length=40,
+            start_goal_codes=True,
+            refinement=refinement,
+        ),
+    )
+
+
+def published_config():
+    return ModelConfig(
+        dictionary=DictionaryConfig(transformer=SIZES, n_codes=64),
+        point_cloud=PointCloudConfig(
+            sa1=SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(8, 12)),
+            sa2=SetAbstractionConfig(ratio=0.75, radius=0.8, widths=(10, 32)),
+        ),
+        sequence=SequenceConfig(context=SIZES, transformer=SIZES, max_length=40),
+    )
+
+
+def random_checkpoint(robot, config=None, *, goal_bias=2.0, metadata=METADATA):
+    """A checkpoint whose decisions depend on its input; `goal_bias` makes the goal token likelier."""
+    config = small_config() if config is None else config
+    torch.manual_seed(0)
+    dictionary, model = Dictionary(config), build_sequence_model(config)
+    with torch.no_grad():
+        for parameter in (*model.parameters(), *dictionary.decoder.parameters()):
+            parameter += 0.1 * torch.randn_like(parameter)
+        for head in (dictionary.decoder.mu, dictionary.decoder.l):
+            head[0].weight *= 2.0
+        dictionary.decoder.diag[0].bias -= 3.0
+        last = model.class_pred if config.kind == "compact" else model.autoregressive.class_pred
+        last.weight *= 2.0
+        last.bias[-1] += goal_bias
+        if config.kind == "compact":
+            model.set_code_configurations(torch.rand(config.dictionary.n_codes, config.configuration_dim))
+    return Checkpoint(config, robot_signature(robot), dictionary.eval(), model.eval(), metadata)
