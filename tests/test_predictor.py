@@ -248,7 +248,7 @@ def changed_kinematics(**changes):
         ({"metadata": changed_kinematics(points=[1, 2])}, r"kinematics.points: must be numbers of shape \(4,\)"),
         (
             {"metadata": changed_kinematics(translation=np.full((7, 3), 0.01).tolist())},
-            "another translation of joint 'panda_joint1'",
+            "another translation of joint 'panda_joint5' .difference 0.374",
         ),
     ],
 )  # fmt: skip

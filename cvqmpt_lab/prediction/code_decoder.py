@@ -119,11 +119,12 @@ class CodeDecoder:
     def gradient(self, gaussians: CodeGaussians, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """What `CodeGaussians.pull_back` returns."""
         n = self.n
+        mean, scale = mean.astype(self.dtype, copy=False), scale.astype(self.dtype, copy=False)
         hidden, y, rate, heads, tanh = gaussians._tape
         by_heads = np.zeros_like(heads)
         by_heads[:, :n] = 0.5 * mean * (1.0 - tanh * tanh)
         if not gaussians._refined:
-            by_root = np.einsum("cij,cij->cj", scale, gaussians._lower, dtype=self.dtype)
+            by_root = np.einsum("cij,cij->cj", scale, gaussians._lower)
             # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))), sigmoid(x) = 1 - exp(-softplus(x))
             by_heads[:, n : 2 * n] = (
                 0.5 * by_root * -np.expm1(-(gaussians._root**2)) / np.maximum(gaussians._root, 1e-12)

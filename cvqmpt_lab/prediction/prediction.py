@@ -66,6 +66,7 @@ class CodeUnion:
 
     @classmethod
     def of(cls, sequences: tuple[tuple[CodeSequence, ...], ...]) -> "CodeUnion":
+        """The union for each goal, its likeliest sequence first."""
         entries: list[tuple[int, int, int, int]] = []
         used: list[tuple[int, tuple[int, ...]]] = []
         for goal, found in enumerate(sequences):

@@ -1,0 +1,242 @@
+"""Algorithm 2 on small networks of random weights: gradients against torch and finite differences, and its promises."""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+from small_models import random_checkpoint, small_config
+
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
+from cvqmpt_lab.prediction.constraint_function import squared_residual
+from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentOptimizer, LatentSettings
+from cvqmpt_lab.prediction.predictor import Predictor
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Joints on a plane in configuration space: a . q = b; nothing but what a `Constraint` needs."""
+
+    normal: tuple = (0.5, 0.5, -0.5, 0.0, 0.0, 0.3, 0.4)
+    offset: float = 0.2
+    dim: int = 1
+
+    def residual_and_jacobian(self, q, full=False):
+        batch = np.atleast_2d(q)
+        residual = (batch @ self.normal)[:, None] - self.offset
+        jacobian = np.broadcast_to(self.normal, (len(batch), 1, 7)).copy()
+        return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
+
+    def residual(self, q):
+        return self.residual_and_jacobian(q)[0]
+
+    def jacobian(self, q, full=False):
+        return self.residual_and_jacobian(q)[1]
+
+
+@pytest.fixture(scope="module", params=["upright", "plane"])
+def constraint(request, panda):
+    return RegionConstraint(panda, (upright(),)) if request.param == "upright" else Plane()
+
+
+@pytest.fixture(scope="module")
+def checkpoint(panda):
+    checkpoint = random_checkpoint(panda)
+    with torch.no_grad():  # narrow Gaussians at places all over the joint ranges
+        checkpoint.dictionary.decoder.diag[0].bias -= 3.0
+        checkpoint.dictionary.decoder.l[0].weight *= 0.1
+        checkpoint.dictionary.decoder.mu[0].weight *= 3.0
+    return checkpoint
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["refined", "plain"])
+def predictor(request, panda, checkpoint):
+    config = small_config(refinement=request.param)
+    if not request.param:
+        other = random_checkpoint(panda, config)
+        checkpoint = replace(other, dictionary=checkpoint.dictionary)
+    return Predictor(checkpoint, panda)
+
+
+@pytest.fixture(scope="module")
+def prediction(panda, predictor):
+    rng = np.random.default_rng(3)
+    q = panda.random_configurations(rng, 4)
+    prediction = predictor.predict(rng.uniform(-0.8, 0.8, (200, 3)), q[0], q[1:], rng)
+    assert len(prediction.codes) > 30
+    return prediction
+
+
+def unit_codes(count, seed=0):
+    z = np.random.default_rng(seed).standard_normal((count, 8))
+    return z / np.linalg.norm(z, axis=1, keepdims=True)
+
+
+def refinement(count, refined):
+    if not refined:
+        return None
+    rng = np.random.default_rng(9)
+    return Refinement(0.1 * rng.standard_normal((count, 7)), rng.uniform(0.02, 0.2, (count, 7)))
+
+
+def torch_g(dictionary, z, refined, constraint, panda, noise):
+    """G (c,) by torch, differentiable in z."""
+    gaussians = dictionary.decode(z)
+    mean, scale = gaussians.mean, gaussians.scale_tril
+    if refined is not None:
+        mean = mean + torch.from_numpy(refined.shift)
+        scale = torch.diag_embed(torch.from_numpy(refined.std))
+    u = mean[:, None] + torch.einsum("cij,sj->csi", scale, torch.from_numpy(noise))
+    lower, upper = torch.from_numpy(panda.lower), torch.from_numpy(panda.upper)
+    return squared_residual(constraint, lower + u * (upper - lower)).mean(1)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-9), (np.float32, 1e-5)])
+@pytest.mark.parametrize("refined", [False, True])
+def test_values_and_gradients_are_those_of_torch(panda, checkpoint, constraint, dtype, tolerance, refined):
+    dictionary = copy.deepcopy(checkpoint.dictionary).double()
+    z, noise = unit_codes(25), np.random.default_rng(1).standard_normal((10, 7))
+    refined = refinement(25, refined)
+    objective = LatentObjective(CodeDecoder(dictionary, dtype), panda.lower, panda.upper - panda.lower)
+    value, gradient = objective.value_and_gradient(z, refined, constraint, noise)
+    leaf = torch.from_numpy(z).requires_grad_()
+    expected = torch_g(dictionary, leaf, refined, constraint, panda, noise)
+    expected.sum().backward()
+    slope = leaf.grad.numpy()
+    np.testing.assert_allclose(value, expected.detach(), rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(gradient, slope, rtol=tolerance, atol=10 * tolerance * np.abs(slope).max())
+    np.testing.assert_allclose(objective.value(z, refined, constraint, noise), value, rtol=tolerance)
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_gradients_are_those_of_finite_differences(panda, checkpoint, constraint, refined):
+    decoder = CodeDecoder(checkpoint.dictionary, np.float64)
+    objective = LatentObjective(decoder, panda.lower, panda.upper - panda.lower)
+    z, noise, h = unit_codes(12, 5), np.random.default_rng(1).standard_normal((8, 7)), 1e-6
+    refined = refinement(12, refined)
+    _, gradient = objective.value_and_gradient(z, refined, constraint, noise)
+    for entry in range(8):
+        ahead, behind = z.copy(), z.copy()
+        ahead[:, entry] += h
+        behind[:, entry] -= h
+        slope = (
+            objective.value(ahead, refined, constraint, noise)
+            - objective.value(behind, refined, constraint, noise)
+        ) / (2 * h)
+        np.testing.assert_allclose(gradient[:, entry], slope, rtol=1e-4, atol=1e-5 * np.abs(gradient).max())
+    assert np.abs(gradient).max() > 0.1
+
+
+def g_of(predictor, prediction, z, constraint, draws=2000):
+    """G (c,) from draws that the optimizer never saw, through the mixture that planners sample."""
+    mixture = predictor.mixture(prediction, z)
+    rng, values = np.random.default_rng(77), []
+    for mean, covariance in zip(mixture.means[: len(z)], mixture.covariances[: len(z)], strict=True):
+        q = mean + rng.standard_normal((draws, 7)) @ np.linalg.cholesky(covariance).T
+        values.append(np.square(constraint.residual_and_jacobian(q)[0]).sum(1).mean())
+    return np.array(values)
+
+
+@pytest.mark.parametrize("method", ["adam", "gradient", "slsqp"])
+def test_codes_move_towards_the_manifold_and_never_get_worse(predictor, prediction, constraint, method):
+    few = prediction if method != "slsqp" else part_of(prediction, 12)
+    eta = 0.05 if method == "adam" else 0.02
+    settings = LatentSettings(method=method, steps=8, eta=eta, check_samples=64)
+    result = LatentOptimizer(predictor, settings).optimize(few, constraint, np.random.default_rng(0))
+    np.testing.assert_allclose(np.linalg.norm(result.z, axis=1), 1.0, rtol=1e-6)
+    assert result.z.dtype == few.z.dtype and result.seconds > 0.0
+    assert (result.g_after <= result.g_before).all() and (
+        result.g_after[~result.kept] < result.g_before[~result.kept]
+    ).all()
+    np.testing.assert_array_equal(result.z[result.kept], few.z[result.kept])
+    assert (result.z[~result.kept] != few.z[~result.kept]).any(1).all()
+    # slsqp leaves the sphere, and scaling back to it undoes part of what it gained
+    most, share = (0.9, 0.97) if method == "slsqp" else (0.5, 0.9)
+    assert result.kept.mean() < most and result.g_after.mean() < share * result.g_before.mean()
+    before, after = (g_of(predictor, few, z, constraint) for z in (few.z, result.z))
+    assert after.mean() < 1.03 * share * before.mean()
+
+
+def part_of(prediction, count):
+    """The first codes of a prediction."""
+    kept = slice(0, count)
+    fields = ("codes", "goal_of", "z", "mean_u", "covariance_u", "means", "covariances")
+    changes = {name: getattr(prediction, name)[kept] for name in fields}
+    if prediction.refinement is not None:
+        changes["refinement"] = prediction.refinement[kept]
+    return replace(prediction, **changes)
+
+
+def test_the_same_seed_gives_the_same_codes(predictor, prediction, constraint):
+    optimizer = LatentOptimizer(predictor)
+    one, same, other = (
+        optimizer.optimize(prediction, constraint, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one.z, same.z)
+    np.testing.assert_array_equal(one.g_after, same.g_after)
+    assert (one.z != other.z).any()
+
+
+def test_one_code_moves_as_among_others(predictor, prediction, constraint):
+    optimizer = LatentOptimizer(predictor)
+    together = optimizer.optimize(prediction, constraint, np.random.default_rng(1))
+    alone = optimizer.optimize(part_of(prediction, 1), constraint, np.random.default_rng(1))
+    np.testing.assert_allclose(alone.z, together.z[:1], atol=2e-3)
+
+
+def test_short_steps_stop_a_code(predictor, prediction, constraint):
+    def steps(**changes):
+        settings = LatentSettings(steps=6, **changes)
+        return (
+            LatentOptimizer(predictor, settings)
+            .optimize(prediction, constraint, np.random.default_rng(0))
+            .steps
+        )
+
+    assert (steps(delta=3.0) == 1).all()
+    slow = steps(method="gradient", eta=2e-3, delta=5e-3)
+    assert slow.min() == 1 and slow.max() == 6
+    assert (steps(delta=0.0) == 6).all()
+
+
+def test_codes_on_the_manifold_stay(predictor, prediction):
+    everywhere = Plane(normal=(0.0,) * 7, offset=0.0)
+    result = LatentOptimizer(predictor).optimize(prediction, everywhere, np.random.default_rng(0))
+    assert result.kept.all() and (result.steps == 1).all() and (result.g_after == 0.0).all()
+    np.testing.assert_array_equal(result.z, prediction.z)
+
+
+def test_trust_keeps_codes_near(predictor, prediction, constraint):
+    def moved(trust):
+        settings = LatentSettings(steps=30, trust=trust)
+        result = LatentOptimizer(predictor, settings).optimize(
+            prediction, constraint, np.random.default_rng(0)
+        )
+        return np.linalg.norm(result.z - prediction.z, axis=1)[~result.kept].mean()
+
+    assert moved(30.0) < 0.6 * moved(0.0)
+
+
+def test_no_codes_are_no_trouble(predictor, prediction, constraint):
+    for method in ("adam", "gradient", "slsqp"):
+        optimizer = LatentOptimizer(predictor, LatentSettings(method=method))
+        result = optimizer.optimize(part_of(prediction, 0), constraint, np.random.default_rng(0))
+        assert result.z.shape == (0, 8) and result.kept.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"method": "newton"}, "unknown method of the latent optimizer 'newton'; valid choices: adam, gradient, slsqp"),
+        ({"steps": 0}, "steps of the latent optimizer is 0"),
+        ({"eta": 0.0}, "eta of the latent optimizer is 0.0; give more than 0"),
+        ({"trust": -1.0}, "trust of the latent optimizer is -1.0; give 0 or more"),
+        ({"delta": float("nan")}, "delta of the latent optimizer is nan"),
+    ],
+)  # fmt: skip
+def test_settings_are_checked(changes, message):
+    with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
+        LatentSettings(**changes)
