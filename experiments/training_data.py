@@ -35,10 +35,13 @@ FIRST_SCENE = 10_000_000
 SCENES_PER_SEED = 1_000_000
 SCENES_PER_SHARD = 16
 SPACING = 0.13  # [rad] between stored waypoints
-PROBES = 64  # labelled configurations a scene
+PROBES = 128  # labelled configurations a scene, and as many labelled motions
+LONGEST_EDGE = 2.0  # [rad] of a labelled motion
 NEAR_HAND = 0.25  # [m] of an obstacle: a task-like configuration
 TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a second, independent label
 MOST_TRIVIAL = 0.15  # share of a scene's paths that may be straight lines
+DETOUR = 1.03  # a path is nearly straight unless it is this much longer than the straight line
+MOST_STRAIGHT = 0.5  # share of a scene's paths that may be straight lines or nearly so
 REDRAWS = 10  # pairs drawn to find one that is not trivial
 CANDIDATES = 512  # configurations drawn per scene to choose starts and goals from
 TABLE = ("shard", "sha256", "scenes", "paths")
@@ -50,7 +53,7 @@ class Recipe:
 
     Attributes
     ----------
-    scenes: number of scenes, families taking turns. paths_per_scene: start-goal pairs tried in each.
+    scenes: number of scenes, families taking turns. paths_per_scene: pairs tried in each; some give no label.
     """
 
     scenes: int
@@ -182,7 +185,9 @@ def _shard(recipe: Recipe, number: int) -> tuple[int, int, bytes]:
     """Scenes, paths and file content of one shard."""
     first = number * SCENES_PER_SHARD
     indices = range(first, min(first + SCENES_PER_SHARD, recipe.scenes))
-    columns: dict[str, list] = {name: [] for name in ("family", "scene_seed", "probe_q", "probe_free")}
+    columns: dict[str, list] = {
+        name: [] for name in ("family", "scene_seed", "probe_q", "probe_free", "edge_q", "edge_free")
+    }
     kinds, sizes, poses, shape_start = [], [], [], [0]
     labels: list[tuple[int, _Label]] = []
     twin_rows: list[int] = []
@@ -207,6 +212,9 @@ def _shard(recipe: Recipe, number: int) -> tuple[int, int, bytes]:
         columns["scene_seed"].append(scene_number)
         columns["probe_q"].append(_packed(probes))
         columns["probe_free"].append(space.valid_batch(probes))
+        edges = _edges(probes, rng)
+        columns["edge_q"].append(_packed(edges))
+        columns["edge_free"].append([motion_free(space.arrays, *edge) for edge in edges])
     waypoints = [_packed(label.path.spaced(SPACING)) for _, label in labels]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for _, label in labels]
     arrays: dict[str, np.ndarray] = {
@@ -225,6 +233,8 @@ def _shard(recipe: Recipe, number: int) -> tuple[int, int, bytes]:
         "twin_of": np.array(twin_rows, np.int32),
         "probe_q": np.array(columns["probe_q"], np.uint16),
         "probe_free": np.array(columns["probe_free"], bool),
+        "edge_q": np.array(columns["edge_q"], np.uint16),
+        "edge_free": np.array(columns["edge_free"], bool),
     }
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
@@ -245,17 +255,29 @@ def _space(scene: Scene) -> ConstrainedSpace:
     return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
 
 
+def _edges(configurations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A straight motion (e, 2, n) from each of the configurations (e, n), up to LONGEST_EDGE long, any way."""
+    robot = panda()
+    way = rng.normal(size=configurations.shape)
+    way *= rng.uniform(0.1, LONGEST_EDGE, (len(way), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    ends = np.clip(configurations + way, robot.lower, robot.upper)
+    return np.stack([configurations, ends], axis=1)
+
+
 def _labels(
     space: ConstrainedSpace, rng: np.random.Generator, recipe: Recipe, with_twins: bool
 ) -> list[_Label]:
-    """Labelled paths of one scene: half of the starts and goals anywhere, half with the hand near an obstacle."""
+    """Labelled paths of one scene: half of the starts and goals anywhere, half with the hand near an obstacle.
+
+    Most motions are nearly straight and say little about the scene: beyond MOST_STRAIGHT they are left out.
+    """
     candidates = space.robot.random_configurations(rng, CANDIDATES)
     candidates = candidates[space.valid_batch(candidates)]
     if len(candidates) < 2:
         return []
     tasklike = candidates[_near_obstacles(space, candidates)]
     labels: list[_Label] = []
-    twins = 2 if with_twins else 0
+    twins, straight = 2 if with_twins else 0, 0
     for pair in range(recipe.paths_per_scene):
         pool = tasklike if pair % 2 and len(tasklike) >= 2 else candidates
         enough = sum(label.trivial for label in labels) >= MOST_TRIVIAL * recipe.paths_per_scene
@@ -273,8 +295,12 @@ def _labels(
         )
         if path is None:
             continue
+        nearly = path.length < DETOUR * np.linalg.norm(goal - start)
+        if nearly and straight >= MOST_STRAIGHT * recipe.paths_per_scene:
+            continue
+        straight += nearly
         labels.append(_Label(path, trivial, -1))
-        if twins and not trivial:
+        if twins and not nearly:
             again = near_shortest(space, start, goal, rng, recipe.labels)
             if again is not None:
                 labels.append(_Label(again, False, len(labels) - 1))
