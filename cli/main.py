@@ -16,6 +16,7 @@ COMMANDS = {
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
     "data": "make training paths",
     "train": "train the dictionary, the sequence model or MPNet",
+    "model": "look at weights, convert published ones",
     "bench": "measure kernels, collision checks, planners and free motions",
     "warmup": "compile all kernels ahead of time",
 }
