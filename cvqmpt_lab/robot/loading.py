@@ -2,7 +2,7 @@
 
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from numbers import Real
 from pathlib import Path
@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.kinematics import Kinematics
+from cvqmpt_lab.robot.limits import PANDA_ACCELERATION, positive_per_joint
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 
 FINGER_OPENING = 0.04  # [m] each finger of the Panda's hand, its largest
@@ -40,6 +41,7 @@ def panda(finger_opening: float = FINGER_OPENING) -> Robot:
         locked=fingers,
         package_dirs=(root,),
         source={"name": "panda", "finger_opening": finger_opening},
+        acceleration_limits=PANDA_ACCELERATION,
     )
 
 
@@ -50,6 +52,7 @@ def load_robot(
     locked: Mapping[str, float] | None = None,
     package_dirs: tuple[Path, ...] = (),
     source: dict | None = None,
+    acceleration_limits: float | Sequence[float] | None = None,
 ) -> Robot:
     """Load a fixed-base arm of hinge and slider joints.
 
@@ -59,6 +62,7 @@ def load_robot(
     srdf: file with the link pairs to skip; without one, neighbours and pairs that overlap at rest are skipped.
     locked: joints to fix, with their values [rad or m].
     package_dirs: folders in which ``package://`` mesh paths are looked up.
+    acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs them.
 
     Raises
     ------
@@ -81,6 +85,10 @@ def load_robot(
     _refuse_bad_model(model, urdf)
     _replace_meshes_by_hulls(geometry)
     pairs, overlaps = _self_collision_pairs(model, geometry, srdf)
+    accelerations = None
+    if acceleration_limits is not None:
+        names = list(model.names)[1:]
+        accelerations = positive_per_joint("acceleration limit", acceleration_limits, names, "rad/s^2")
     axes = _axis_frames(model)
     hand = model.frames[model.getFrameId(end_effector)]
     return Robot(
@@ -92,6 +100,7 @@ def load_robot(
             "srdf": str(Path(srdf).resolve()) if srdf else None,
             "locked": locked,
             "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
+            **({} if accelerations is None else {"acceleration_limits": accelerations.tolist()}),
         },
         model=model,
         collision_model=geometry,
@@ -101,6 +110,7 @@ def load_robot(
         links=tuple(_link_geometry(g, axes) for g in geometry.geometryObjects),
         self_collision_pairs=pairs,
         resting_overlaps=overlaps,
+        acceleration_limits=accelerations,
     )
 
 
@@ -132,6 +142,7 @@ def _cached_robot(items: tuple) -> Robot:
             source.get("srdf"),
             dict(source.get("locked") or ()),
             tuple(Path(folder) for folder in source.get("package_dirs") or ()),
+            acceleration_limits=source.get("acceleration_limits"),
         )
     if source.get("name") != "panda":
         raise UnknownChoiceError("robot", source.get("name"), ["panda", "or give 'urdf' and 'end_effector'"])

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.kinematics import Kinematics
+from cvqmpt_lab.robot.limits import JointLimits
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Robot:
     end_effector: frame whose pose constraints and goals speak of; end_effector_link: its pose row and T_link_frame.
     links: convex pieces; self_collision_pairs: index pairs into links that are checked.
     resting_overlaps: pairs left out because they overlap at the rest configuration.
+    acceleration_limits: (n,) [rad/s^2 or m/s^2], or None where nobody gave them.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Robot:
     links: tuple[LinkGeometry, ...]
     self_collision_pairs: tuple[tuple[int, int], ...]
     resting_overlaps: tuple[tuple[str, str], ...] = ()
+    acceleration_limits: np.ndarray | None = None
     _data: pin.Data = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -86,6 +89,18 @@ class Robot:
     def upper(self) -> np.ndarray:
         """Upper joint limits (n,) [rad or m]."""
         return self.kinematics.upper
+
+    @property
+    def joint_limits(self) -> JointLimits:
+        """Velocity limits of the URDF with `acceleration_limits`; refused without the latter."""
+        if self.acceleration_limits is None:
+            raise InvalidInputError(
+                f"robot {self.name} has no acceleration limits, which a URDF cannot state: give "
+                "load_robot(..., acceleration_limits=...), on the command line --acceleration, "
+                "in a problem file 'acceleration_limits' of 'robot'"
+            )
+        velocity = np.array(self.model.upperVelocityLimit)
+        return JointLimits(self.joint_names, velocity, self.acceleration_limits)
 
     @cached_property
     def reach(self) -> float:
