@@ -7,7 +7,9 @@ from pathlib import Path
 
 from cli.options import add_budget, budget, writable_file
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.evaluation.certificate import certify
 from cvqmpt_lab.pipeline import Solution, solve
+from cvqmpt_lab.planning.result import Path as JointPath
 from cvqmpt_lab.planning.table import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import UnsolvableProblem
@@ -18,6 +20,7 @@ EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
     "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
     "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
+    "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 
@@ -38,29 +41,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="JOINT=VALUE",
         help="fix a joint [rad or m]; repeatable",
     )
+    robot.add_argument(
+        "--acceleration",
+        metavar="A[,A...]",
+        help="its joints' acceleration limits, one each or one for all [rad/s^2]; --trajectory needs them",
+    )
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
     add_budget(parser)
     parser.add_argument("--save", type=Path, metavar="RUN.rrd", help="write a rerun recording")
     parser.add_argument("--view", action="store_true", help="open the rerun viewer")
     parser.add_argument("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
+    parser.add_argument(
+        "--trajectory",
+        type=Path,
+        metavar="OUT.csv|OUT.json",
+        help="write the path as the fastest motion in time; json for ROS",
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        metavar="FACTOR",
+        help="share of the joints' limits that --trajectory uses (0.1)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    for path in (args.save, args.save_path):
+    for path in (args.save, args.save_path, args.trajectory):
         if path is not None:
             writable_file(path)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
     planner = planner_named(args.planner)
     problem = _problem(args)
+    _check_timing(args, problem)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     solution = solve(problem, planner, budget(args), args.seed, backend=args.backend)
     print("\n".join(report(solution, args.planner)))
     if args.save_path and solution.simplified:
         _write_path(args.save_path, solution)
         print(f"path written to {args.save_path}")
+    if args.trajectory:
+        print(_write_trajectory(args, solution))
     if args.save or args.view:
         from cvqmpt_lab.viewer import log_solution
 
@@ -87,8 +110,10 @@ def _problem(args: argparse.Namespace) -> PlanningProblem:
 def _robot_source(args: argparse.Namespace) -> dict | None:
     """What a problem file would say of the robot of --urdf; None without one."""
     if args.urdf is None:
-        if args.end_effector or args.srdf or args.lock:
-            raise InvalidInputError("--end-effector, --srdf and --lock describe the robot of --urdf; give it")
+        if args.end_effector or args.srdf or args.lock or args.acceleration:
+            raise InvalidInputError(
+                "--end-effector, --srdf, --lock and --acceleration describe the robot of --urdf; give it"
+            )
         return None
     if args.end_effector is None:
         raise InvalidInputError("--urdf needs --end-effector FRAME, a frame of that URDF")
@@ -97,6 +122,7 @@ def _robot_source(args: argparse.Namespace) -> dict | None:
         "end_effector": args.end_effector,
         "srdf": str(args.srdf) if args.srdf else None,
         "locked": dict(_locked_joint(text) for text in args.lock),
+        **({} if args.acceleration is None else {"acceleration_limits": _accelerations(args.acceleration)}),
     }
 
 
@@ -110,6 +136,29 @@ def _locked_joint(text: str) -> tuple[str, float]:
     if not joint or not math.isfinite(number):
         raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
     return joint, number
+
+
+def _accelerations(text: str) -> float | list[float]:
+    """The number or numbers of --acceleration."""
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError as error:
+        raise InvalidInputError(f"--acceleration {text!r}: write numbers separated by commas") from error
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
+    """Refuse before planning what would fail after it."""
+    if args.trajectory is None:
+        if args.speed is not None:
+            raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
+        return
+    from cvqmpt_lab.trajectory.export import file_type
+    from cvqmpt_lab.trajectory.timing import SLOW
+
+    file_type(args.trajectory)
+    args.speed = SLOW if args.speed is None else args.speed
+    problem.robot.joint_limits.scaled(args.speed)
 
 
 def report(solution: Solution, planner: str) -> list[str]:
@@ -145,3 +194,24 @@ def _write_path(path: Path, solution: Solution) -> None:
     temporary = path.with_name(path.name + ".tmp")
     temporary.write_text(f"{header}\n{rows}\n")
     temporary.replace(path)
+
+
+def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
+    """Time the certified path, certify the motion too, write it; the line that says so."""
+    from cvqmpt_lab.trajectory.export import save_trajectory
+    from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+
+    if not solution.solved or solution.simplified is None:
+        return "trajectory  none: only certified paths are timed"
+    problem = solution.problem
+    motion = time_path(
+        solution.simplified.path.states,
+        problem.robot.joint_limits,
+        TimingSettings(speed=args.speed),
+        lambda states: certify(problem, JointPath(states), clearance=False).reasons,
+    )
+    save_trajectory(motion, args.trajectory)
+    return (
+        f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
+        f"{motion.deviation:.1e} rad off the path, certified; written to {args.trajectory}"
+    )

@@ -1,0 +1,66 @@
+"""A motion in time: where each joint is, and how fast, at every moment."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from cvqmpt_lab.errors import InvalidInputError
+
+
+class JointState(NamedTuple):
+    """Positions, velocities and accelerations (n,), or (k, n) for k moments [rad, rad/s, rad/s^2]."""
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Joint states at k times, at rest at both ends.
+
+    Attributes
+    ----------
+    joint_names: n names. times: (k,) from 0, increasing [s].
+    positions, velocities, accelerations: (k, n) [rad, rad/s, rad/s^2]. Accelerations may jump at these
+        times; the one that begins there is given (at the end, the one that ends there).
+    deviation: largest distance from the path that was timed [rad].
+    """
+
+    joint_names: tuple[str, ...]
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    deviation: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        return float(self.times[-1])
+
+    def at(self, t: float | np.ndarray) -> JointState:
+        """State at a time or at times (k,) [s]; before the start and after the end the arm stands still."""
+        moment = np.asarray(t, dtype=float)
+        if not np.isfinite(moment).all():
+            raise InvalidInputError(f"time {t}: give finite seconds from 0 to {self.duration:.3f}")
+        inside = np.clip(moment, 0.0, self.duration)
+        moving = (moment == inside).astype(float)[..., None]
+        position, velocity, acceleration = self._motion
+        return JointState(position(inside), moving * velocity(inside), moving * acceleration(inside))
+
+    def sampled(self, period: float) -> "Trajectory":
+        """The same motion at even times, at most period [s] apart, ends included."""
+        if not (np.isfinite(period) and period > 0.0):
+            raise InvalidInputError(f"sampling period {period}: give seconds above 0, such as 0.01")
+        times = np.linspace(0.0, self.duration, max(2, int(np.ceil(self.duration / period)) + 1))
+        return Trajectory(self.joint_names, times, *self.at(times), deviation=self.deviation)
+
+    @cached_property
+    def _motion(self) -> tuple[CubicHermiteSpline, CubicHermiteSpline, CubicHermiteSpline]:
+        """Cubic pieces through positions and velocities, as a robot's controller would make them."""
+        spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
+        return spline, spline.derivative(1), spline.derivative(2)
