@@ -45,7 +45,10 @@ class ResultRow:
     Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m].
     ``solved`` means certified success: the planner claimed a path and the independent certificate
     accepted it. ``certified`` is None when there was no path to certify. ``t_goals_s`` is goal inverse
-    kinematics and is charged to every planner. numpy scalars are converted to plain Python values.
+    kinematics and is charged to every planner. ``t_plan_s`` is search alone; what networks took stands in
+    ``t_encode_s``, ``t_predict_s`` and ``t_optimize_s``, and ``t_total_s`` is the sum of all these and
+    ``t_simplify_s``. ``t_observe_s`` is not part of it: clouds are a camera's work. numpy scalars
+    are converted to plain Python values.
 
     Raises
     ------

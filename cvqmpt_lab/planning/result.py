@@ -46,6 +46,31 @@ class Counters:
     iterations: int = 0
 
 
+@dataclass(frozen=True)
+class Timings:
+    """Parts of a planning run that are not search [s]; None where a planner has no such part.
+
+    Attributes
+    ----------
+    encode: from the point cloud to what the network keeps of it.
+    predict: from start and goals to configurations or distributions. optimize: moving those.
+    """
+
+    encode: float | None = None
+    predict: float | None = None
+    optimize: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not 0.0 <= value < np.inf:
+                raise InvalidInputError(f"timing {name!r} is {value}; give seconds, 0 or more, or None")
+
+    @property
+    def total(self) -> float:
+        """Their sum [s]."""
+        return sum(value for value in vars(self).values() if value is not None)
+
+
 @dataclass(frozen=True, eq=False)
 class Path:
     """A motion: straight joint segments between states (m, n), m >= 2 [rad or m]."""
@@ -82,8 +107,10 @@ class PlanResult:
 
     Attributes
     ----------
-    seconds: wall time of the search. vertices: nodes in all trees. sampler: name of the distribution used.
+    seconds: wall time of the whole run, networks included. vertices: nodes in all trees. sampler: name of the
+        distribution used.
     detail: one line more, e.g. about a failure, or "".
+    timings: which of the seconds were not search.
     """
 
     status: PlanStatus
@@ -94,3 +121,9 @@ class PlanResult:
     sampler: str
     trees: tuple[Tree, ...] = field(default=())
     detail: str = ""
+    timings: Timings = field(default_factory=Timings)
+
+    @property
+    def search_seconds(self) -> float:
+        """Wall time without that of `timings`."""
+        return max(0.0, self.seconds - self.timings.total)
