@@ -298,7 +298,7 @@ def _labels(
         nearly = path.length < DETOUR * np.linalg.norm(goal - start)
         if nearly and straight >= MOST_STRAIGHT * recipe.paths_per_scene:
             continue
-        straight += nearly
+        straight += int(nearly)
         labels.append(_Label(path, trivial, -1))
         if twins and not nearly:
             again = near_shortest(space, start, goal, rng, recipe.labels)

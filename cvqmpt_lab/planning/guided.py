@@ -46,7 +46,9 @@ class GuidedBiRRT:
             return replace(guide, detail="no unconstrained path")
         uniform = Uniform(space.robot.lower, space.robot.upper)
         mixture = self._around(simplify(free_space, guide.path, rng).path, uniform)
-        result = self.core.plan(space, start, goals, mixture, self._rest(budget, guide, began), rng)
+        result = self.core.plan(
+            space, start, goals, mixture, budget.rest(began, guide.counters.iterations), rng
+        )
         return replace(
             result,
             seconds=time.perf_counter() - began,
@@ -60,14 +62,3 @@ class GuidedBiRRT:
         k, n = means.shape
         covariances = np.tile(self.std**2 * np.eye(n), (k, 1, 1))
         return GaussianMixture(means, covariances, np.full(k, 1.0 / k), uniform, self.uniform_share, "guide")
-
-    @staticmethod
-    def _rest(budget: Budget, guide: PlanResult, began: float) -> Budget:
-        """What the unconstrained search left over, at least a sliver."""
-        seconds = (
-            None if budget.seconds is None else max(budget.seconds - (time.perf_counter() - began), 1e-3)
-        )
-        iterations = (
-            None if budget.iterations is None else max(budget.iterations - guide.counters.iterations, 1)
-        )
-        return Budget(seconds, iterations)
