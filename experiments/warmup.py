@@ -7,6 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.kernels.compiling import compiled_before
 from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.planning.table import planner_named
@@ -36,4 +37,5 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     space.project(q)
     space.valid(q)
     space.residual_and_jacobian(q)
+    direct_motion(space, q, q)
     return time.perf_counter() - began
