@@ -1,9 +1,10 @@
-"""`cvqmpt reproduce`: run a suite of the paper, write its rows and tables."""
+"""`cvqmpt reproduce`: run a suite of the paper and write its rows and tables, or make a figure of it."""
 
 import argparse
 import sys
 from pathlib import Path
 
+from cli.figure_options import FIGURES, add_figure_options, refuse_others, run_figure
 from cli.options import ProgressBar, add_budget, budget, planner_list, positive_int
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.evaluation.results import ResultRow
@@ -17,8 +18,10 @@ EXAMPLES = (
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task --planners birrt,ompl-projected --cutoff 10 --out runs/two",
     "cvqmpt reproduce place-task --suite place-task-with-can --out runs/can",
+    "cvqmpt reproduce histogram --problem 7 --out runs/histogram",
+    "cvqmpt reproduce concept --model runs/stage2/model --out runs/concept",
 )
-TASKS = ("place-task",)
+TASKS = ("place-task", *FIGURES)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,31 +29,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help=f"what to reproduce: {', '.join(TASKS)}")
     parser.add_argument("--suite", help=f"variant of its problems: {', '.join(SUITES)} (the task's own)")
     parser.add_argument("--problems", type=positive_int, metavar="N", help="only the first N problems (all)")
-    parser.add_argument("--seeds", type=positive_int, default=1, metavar="K", help="seeds 0 to K-1 (1)")
+    parser.add_argument("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
     parser.add_argument(
         "--planners",
         type=planner_list,
-        default=tuple(PLANNERS),
         metavar="A,B",
         help=f"of {', '.join(PLANNERS)} (all)",
     )
     add_budget(parser)
-    parser.add_argument(
-        "--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where rows and tables go (runs/SUITE)")
+    parser.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE, runs/FIGURE)")
+    add_figure_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what is missing in --out, then render its tables."""
+    """Run what is missing in --out, then render its tables; or make a figure."""
     if args.task not in TASKS:
         raise UnknownChoiceError("task", args.task, TASKS)
+    refuse_others(args)
+    if args.task in FIGURES:
+        return run_figure(args)
     suite = suite_named(args.suite or args.task)
     experiment = Experiment(
         suite=suite.name,
         problems=tuple(suite.problems[: args.problems]),
-        planners=args.planners,
-        seeds=tuple(range(args.seeds)),
+        planners=tuple(PLANNERS) if args.planners is None else args.planners,
+        seeds=tuple(range(args.seeds or 1)),
         budget=budget(args),
         backend=args.backend,
     )
@@ -61,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     def show(done: int, total: int, row: ResultRow | None) -> None:
         bar(done, total, f"{row.planner} {row.problem} {row.status}" if row else "")
 
-    rows = run_experiment(experiment, out, args.jobs, ["cvqmpt", *sys.argv[1:]], show)
+    rows = run_experiment(experiment, out, args.jobs or default_jobs(), ["cvqmpt", *sys.argv[1:]], show)
     written = render_directory(out)
     markdown = next(path for path in written if path.suffix == ".md")
     print(markdown.read_text())

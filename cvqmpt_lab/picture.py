@@ -137,16 +137,43 @@ def draw_solution(
         raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
     problem, camera = solution.problem, camera or Camera()
     shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
-    robot = robot_meshes(problem, problem.start, ROBOT_COLOUR)
-    solid = joined([*_scene_meshes(problem, hidden), *robot])
-    image, depth = _solid_image(solid, _ground_height(problem), camera, shape)
+    image, depth = _still(problem, problem.start, camera, shape, hidden)
     for mesh, opacity, opacity_behind in _translucent(solution, ghosts):
         view = rasterise(mesh, camera, shape)
         at = view.rows, view.columns
         share = np.where(view.depth < depth[at] - 1e-3, opacity, opacity_behind)[:, None]
         image[at] += share * (_light(mesh.colours[view.face], view.normals) - image[at])
-    smaller = image.reshape(size[1], SUPERSAMPLING, size[0], SUPERSAMPLING, 3).mean(axis=(1, 3))
-    _write_png(Path(path), (255.0 * np.clip(smaller, 0.0, 1.0) + 0.5).astype(np.uint8))
+    _write_png(Path(path), _eight_bit(image))
+
+
+def still_image(
+    problem: PlanningProblem,
+    q: np.ndarray,
+    size: tuple[int, int] = (900, 600),
+    camera: Camera | None = None,
+    hidden: Sequence[str] = ("walls/right",),
+) -> np.ndarray:
+    """Colours (height, width, 3), 8 bit, of the scene and the robot at q (n,); what figures are drawn over.
+
+    `Camera.screen` says where in it a point is.
+    """
+    shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
+    return _eight_bit(_still(problem, q, camera or Camera(), shape, hidden)[0])
+
+
+def _still(
+    problem: PlanningProblem, q: np.ndarray, camera: Camera, shape: tuple[int, int], hidden: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours (rows, columns, 3) and depth [m] of scene and robot."""
+    solid = joined([*_scene_meshes(problem, hidden), *robot_meshes(problem, q, ROBOT_COLOUR)])
+    return _solid_image(solid, _ground_height(problem), camera, shape)
+
+
+def _eight_bit(image: np.ndarray) -> np.ndarray:
+    """Colours in [0, 1] at SUPERSAMPLING times the size as 8-bit colours of the picture."""
+    rows, columns = (side // SUPERSAMPLING for side in image.shape[:2])
+    smaller = image.reshape(rows, SUPERSAMPLING, columns, SUPERSAMPLING, 3).mean(axis=(1, 3))
+    return (255.0 * np.clip(smaller, 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
 # What is drawn

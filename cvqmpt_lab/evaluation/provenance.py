@@ -193,7 +193,12 @@ def _differences(recorded: object, asked: object, name: str = "") -> list[str]:
 
 
 def write_text_atomic(path: Path, text: str) -> None:
-    """Write UTF-8 text to a temporary file in the same folder and move it into place.
+    """Write UTF-8 text as `write_bytes_atomic` does."""
+    write_bytes_atomic(path, text.encode("utf-8"))
+
+
+def write_bytes_atomic(path: Path, data: bytes) -> None:
+    """Write data to a temporary file in the same folder and move it into place.
 
     Raises
     ------
@@ -202,8 +207,8 @@ def write_text_atomic(path: Path, text: str) -> None:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("w", encoding="utf-8", newline="") as handle:
-            handle.write(text)
+        with temporary.open("wb") as handle:
+            handle.write(data)
             handle.flush()
             os.fsync(handle.fileno())
         temporary.replace(path)

@@ -1,0 +1,145 @@
+"""Figures by matplotlib, without a display; numbers come from elsewhere."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from cvqmpt_lab.evaluation.provenance import write_bytes_atomic
+from cvqmpt_lab.picture import Camera, still_image
+from cvqmpt_lab.problem import PlanningProblem
+from experiments.hand_poses import HandChange, HandPoses
+from experiments.histogram import CodeChange
+from experiments.latent_update import FAR, NEAR
+
+BEFORE, AFTER = "#8c96a3", "#1f6fb4"
+FORMATS = ("png", "svg")
+DPI = 160
+STICK = 0.09  # [m] length of the stick that shows which way a hand points up
+CLOSE = Camera(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
+
+
+def figure_bytes(figure: Figure, kind: str) -> bytes:
+    """A figure as png or svg; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
+        figure.savefig(buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+    return buffer.getvalue()
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write name.png and name.svg, each at once or not at all."""
+    paths = [folder / f"{name}.{kind}" for kind in FORMATS]
+    for path, kind in zip(paths, FORMATS, strict=True):
+        write_bytes_atomic(path, figure_bytes(figure, kind))
+    return paths
+
+
+def histogram_figure(changes: Sequence[CodeChange]) -> Figure:
+    """A row for each code: histogram of F^T F, and its tail below the Markov bound."""
+    figure = Figure(figsize=(9.0, 3.1 * len(changes)), layout="constrained")
+    rows = figure.subplots(len(changes), 2, squeeze=False)
+    for (left, right), change in zip(rows, changes, strict=True):
+        _draw_histogram(left, change)
+        _draw_tail(right, change)
+    return figure
+
+
+def _draw_histogram(axes: Axes, change: CodeChange) -> None:
+    edges = change.histogram.edges
+    shown = len(edges) - 1 - change.histogram.beyond
+    for counts, colour, when, mean in (
+        (change.histogram.before, BEFORE, "before", change.g_before),
+        (change.histogram.after, AFTER, "after", change.g_after),
+    ):
+        share = counts / counts.sum()
+        axes.stairs(share[:shown], edges[: shown + 1], fill=True, color=colour, alpha=0.45)
+        axes.stairs(
+            share[:shown], edges[: shown + 1], color=colour, linewidth=1.4, label=f"{when}: mean {mean:#.3g}"
+        )
+        axes.axvline(mean, color=colour, linestyle=":", linewidth=1.4)
+    place = {FAR: "far from the constraint", NEAR: "near the constraint"}[change.role]
+    axes.set(
+        title=f"{place}: code {change.code}",
+        xlabel="$F(q)^T F(q)$ [rad$^2$]",
+        ylabel="share of draws",
+        xlim=(0.0, edges[shown]),
+    )
+    axes.legend(frameon=False)
+
+
+def _draw_tail(axes: Axes, change: CodeChange) -> None:
+    for markov, mean, colour, when in (
+        (change.before, change.g_before, BEFORE, "before"),
+        (change.after, change.g_after, AFTER, "after"),
+    ):
+        k = np.geomspace(markov.k[0], markov.k[-1], 400)
+        axes.plot(k, np.minimum(mean / k, 1.0), "--", color=colour, label=f"{when}: bound $G/k$")
+        axes.plot(markov.k, markov.tail, ".-", color=colour, label=f"{when}: measured")
+    axes.set(
+        xscale="log",
+        title="tail and its Markov bound",
+        xlabel="$k$ [rad$^2$]",
+        ylabel="$P(F^T F \\geq k)$",
+        ylim=(0.0, 1.05),
+    )
+    axes.legend(frameon=False, fontsize="small", loc="lower left")
+
+
+def hand_figure(problem: PlanningProblem, change: HandChange, camera: Camera = CLOSE) -> Figure:
+    """Hands before and after over a picture of the scene: a stick each, upwards, coloured by its tilt."""
+    size = (900, 690)
+    image = still_image(problem, problem.start, size, camera)
+    figure = Figure(figsize=(10.4, 4.05), layout="constrained")
+    norm = Normalize(0.0, np.degrees(max(0.5, np.quantile(change.before.tilt, 0.95))))
+    panels = figure.subplots(1, 2)
+    for axes, hands, g, when in (
+        (panels[0], change.before, change.g_before, "before"),
+        (panels[1], change.after, change.g_after, "after"),
+    ):
+        axes.imshow(0.45 * image / 255.0 + 0.55)
+        _draw_hands(axes, hands, camera, image.shape[:2], norm)
+        tilt = np.degrees(np.median(hands.tilt))
+        axes.set(title=f"{when}: median tilt {tilt:.0f}°, mean $F^TF$ {g.mean():.2g} rad$^2$")
+        axes.axis("off")
+    colours = ScalarMappable(norm, "viridis_r")
+    figure.colorbar(colours, ax=panels, label="tilt of the hand [deg]", extend="max", shrink=0.95, pad=0.01)
+    return figure
+
+
+def _draw_hands(
+    axes: Axes, hands: HandPoses, camera: Camera, shape: tuple[int, ...], norm: Normalize
+) -> None:
+    """Sticks from each hand along its up direction, the head a dot; farther ones first."""
+    rows, columns = shape
+    ends = np.stack((hands.positions, hands.positions + STICK * hands.up), axis=1)
+    screen = camera.screen(ends, (rows, columns))
+    order = np.argsort(-screen[:, 0, 2], kind="stable")
+    segments, tilt = screen[order, :, :2], np.degrees(hands.tilt[order])
+    sticks = LineCollection(list(segments), cmap="viridis_r", norm=norm, linewidths=1.4, alpha=0.9)
+    sticks.set_array(tilt)
+    axes.add_collection(sticks)
+    axes.scatter(segments[:, 1, 0], segments[:, 1, 1], c=tilt, cmap="viridis_r", norm=norm, s=9.0, zorder=3)
+    axes.set(xlim=(0, columns), ylim=(rows, 0))
+
+
+def cloud_figure(cloud: np.ndarray, hands: HandPoses | None = None) -> Figure:
+    """A cloud (m, 3) [m] in three dimensions, coloured by height, and hands as sticks."""
+    figure = Figure(figsize=(5.4, 4.6), layout="constrained")
+    axes = figure.add_subplot(projection="3d", computed_zorder=False)
+    x, y, z = cloud.T
+    axes.scatter(x, y, z, c=z, cmap="Greys_r", s=3.0, vmin=-0.5, vmax=2.0, zorder=1)
+    if hands is not None:
+        for start, end in zip(hands.positions, hands.positions + STICK * hands.up, strict=True):
+            axes.plot(*np.stack((start, end)).T, color=AFTER, linewidth=1.0, zorder=2)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axes.set_aspect("equal")
+    axes.view_init(elev=25.0, azim=-130.0)
+    return figure
