@@ -41,6 +41,10 @@ class Part:
         points = _numbers(self.vertices, f"'vertices' of part {self.name!r}")
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
             raise InvalidInputError(f"'vertices' of part {self.name!r} must be (4 or more, 3) numbers [m]")
+        if np.linalg.matrix_rank(points - points.mean(axis=0)) < 3:  # coal would crash
+            raise InvalidInputError(
+                f"'vertices' of part {self.name!r} lie in one plane: they must span a volume"
+            )
         object.__setattr__(self, "vertices", points)
 
     def to_dict(self) -> dict:
