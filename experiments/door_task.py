@@ -13,6 +13,7 @@ import numpy as np
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -27,8 +28,9 @@ BAR = f"{DOOR}/handle_bar"
 STANDOFF = 0.10  # [m] from the hand frame to the bar's axis
 GRIP = 0.0075  # [m] opening of each finger: the bar's radius
 PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
-TURN = np.pi / 3  # [rad] about the bar: goals lie within +- this
+TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
 GRASPS = 20  # of the closed door that are tried
+GOALS_NEEDED = 10  # of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
 START_MARGIN = 5e-4  # [m] kept by starts: a closed door is only 1 mm from its neighbour
 
 
@@ -64,8 +66,8 @@ def door_problem(
 ) -> PlanningProblem | UnsolvableProblem:
     """Open the door to an angle [rad], from a grasp of the closed one; goals are sampled by `pipeline.solve`.
 
-    seed: of the start grasp, whose hand pose is always the same; the first is taken from whose posture
-        the goal region can be reached, though not necessarily along the constraint.
+    seed: of the start grasp, whose hand pose is always the same; the first is taken in whose posture
+        `GOALS_NEEDED` goals are found, though not necessarily reached along the constraint.
     region: what the hand keeps; by default it may turn about the bar as far as nothing is in the way.
     """
     scene, robot = door_world(finger_opening)
@@ -76,17 +78,17 @@ def door_problem(
     rng = np.random.default_rng([seed, 1])
     starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,))
     for start in starts.configurations:
-        ends = sample_region(robot, goal, checker, rng, count=1, within=(region,), near=start)
-        if len(ends.configurations) > 0:
-            return PlanningProblem(
-                name=f"door-{seed}",
-                robot=robot,
-                scene=scene,
-                start=start,
-                goals=np.empty((0, robot.dof)),
-                constraint=(region,),
-                goal_region=goal,
-            )
+        problem = PlanningProblem(
+            name=f"door-{seed}",
+            robot=robot,
+            scene=scene,
+            start=start,
+            goals=np.empty((0, robot.dof)),
+            constraint=(region,),
+            goal_region=goal,
+        )
+        if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
+            return problem
     return UnsolvableProblem(f"door-{seed}", no_grasp("start grasp whose posture reaches the goal", starts))
 
 

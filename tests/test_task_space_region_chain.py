@@ -18,6 +18,7 @@ from cvqmpt_lab.planning.result import Budget, Path
 from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
+from cvqmpt_lab.scene.collision import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box
@@ -206,7 +207,8 @@ def handle_errors(problem, states, resolution=0.002):
 
 
 @pytest.mark.parametrize("name", ["birrt", "ompl-projected", "atlas-rrt", "tb-rrt"])
-def test_every_planner_opens_the_door(door, name):
+def test_every_planner_opens_the_door(panda, door, name):
+    """Certified, the hand at the handle all along, and a state where the next phase can open its fingers."""
     found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
     assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
     states = found.simplified.path.states
@@ -215,6 +217,7 @@ def test_every_planner_opens_the_door(door, name):
     assert metres < 2e-3 and radians < np.deg2rad(0.5)
     scene = kitchen(door_angles={DOOR: float(states[-1, 7])})
     np.testing.assert_allclose(scene[BAR].T_world_object, bar_pose(OPEN), atol=1e-5)
+    assert not CollisionChecker(panda, scene).in_collision(states[-1, :7])
 
 
 def test_the_exact_backend_opens_the_door(door):
