@@ -86,6 +86,9 @@ def test_the_arm_is_the_same(panda, world):
     for q in robot.random_configurations(rng, 20):
         np.testing.assert_allclose(robot.pose(q), panda.pose(q[:7]), atol=1e-12)
         assert np.array_equal(pieces(robot, q)["panda_hand_0"], pieces(panda, q[:7])["panda_hand_0"])
+    limits = robot.joint_limits
+    np.testing.assert_array_equal(limits.velocity, [*panda.joint_limits.velocity, 1.0])
+    np.testing.assert_array_equal(limits.acceleration, [*panda.joint_limits.acceleration, 2.0])
     assert robot.source != panda.source and robot.self_collision_pairs[:44] == panda.self_collision_pairs
 
 
@@ -323,6 +326,7 @@ def test_bad_objects_are_refused(panda, world):
         ({"lower": 0.0}, r"range \[0.0, 0.0\]"),
         ({"upper": None}, "range of articulated object"),
         ({"parts": []}, "moves nothing"),
+        ({"velocity": 0.0}, "velocity 0.0"),
         ({"T_world_joint": [[1.0]]}, "rigid pose"),
         ({"may_touch": ["x"]}, "malformed"),
         ({"casing": data["parts"]}, "two pieces called"),

@@ -64,6 +64,7 @@ class ArticulatedObject:
     casing: fixed pieces that the parts touch, or nearly, without ever entering them. They are checked
         against the robot and what it carries, never against the parts.
     may_touch: (robot piece, part) pairs that are not checked: what holds the handle.
+    velocity, acceleration: how fast it may be moved [rad/s or m/s, and per s]; only timing a path needs them.
     """
 
     name: str
@@ -74,6 +75,8 @@ class ArticulatedObject:
     parts: tuple[Part, ...]
     casing: tuple[Part, ...] = ()
     may_touch: tuple[tuple[str, str], ...] = ()
+    velocity: float = 1.0
+    acceleration: float = 2.0
 
     def __post_init__(self) -> None:
         what = f"articulated object {self.name!r}"
@@ -86,6 +89,11 @@ class ArticulatedObject:
         if not limits[0] < limits[1]:
             raise InvalidInputError(
                 f"{what} has range [{self.lower}, {self.upper}]: lower < upper needed, else leave it in the scene"
+            )
+        fast = _numbers([self.velocity, self.acceleration], f"velocity and acceleration of {what}")
+        if not (fast > 0.0).all():
+            raise InvalidInputError(
+                f"{what} has velocity {self.velocity}, acceleration {self.acceleration}: above 0 needed"
             )
         if not self.parts:
             raise InvalidInputError(f"{what} moves nothing: give 'parts'")
@@ -105,6 +113,8 @@ class ArticulatedObject:
             "parts": [part.to_dict() for part in self.parts],
             "casing": [part.to_dict() for part in self.casing],
             "may_touch": [list(pair) for pair in self.may_touch],
+            "velocity": float(self.velocity),
+            "acceleration": float(self.acceleration),
         }
 
     @staticmethod
@@ -122,6 +132,7 @@ class ArticulatedObject:
                 parts=tuple(Part(p["name"], p["T"], p["vertices"]) for p in data["parts"]),
                 casing=tuple(Part(p["name"], p["T"], p["vertices"]) for p in data.get("casing", [])),
                 may_touch=tuple((a, b) for a, b in data.get("may_touch", [])),
+                **{key: data[key] for key in ("velocity", "acceleration") if key in data},
             )
         except KeyError as error:
             raise InvalidInputError(f"articulated object field {error} is missing") from error
@@ -151,6 +162,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     for i, k in pairs:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     frames = axis_frames(model)
+    accelerations = robot.acceleration_limits
     return replace(
         robot,
         name=f"{robot.name}+{item.name}",
@@ -160,6 +172,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         kinematics=kinematics_arrays(model, frames),
         links=(*robot.links, *(link_geometry(objects[k], frames) for k in (*parts, *casing))),
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
+        acceleration_limits=None if accelerations is None else np.append(accelerations, item.acceleration),
     )
 
 
@@ -184,14 +197,13 @@ def _check_names(robot: Robot, item: ArticulatedObject) -> None:
 
 def _add_joint(model: pin.Model, item: ArticulatedObject) -> int:
     """Append the joint and a body frame for each part; the index of the joint."""
-    unlimited = np.full(1, np.inf)
     joint = model.addJoint(
         0,
         JOINT_MODELS[item.kind](),
         pin.SE3(item.T_world_joint),
         item.name,
-        unlimited,
-        unlimited,
+        np.full(1, np.inf),  # effort
+        np.array([item.velocity], dtype=float),
         np.array([item.lower], dtype=float),
         np.array([item.upper], dtype=float),
     )
