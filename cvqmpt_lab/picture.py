@@ -18,7 +18,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.kinematics import link_poses
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import prism_vertices
+from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, shape_vertices

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.distributions import SamplingDistribution, Uniform
 from cvqmpt_lab.evaluation.certificate import Certificate, certify
 from cvqmpt_lab.planning.planner import Planner
@@ -68,11 +69,15 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
     """The problem with goal configurations drawn from its goal region when it has none, and the seconds spent.
 
     The draw depends on the problem's start alone, so that every planner and seed gets the same goals.
+    Where the hand holds a door, goals have the door where the hand takes it, and an arm posture like the
+    start's: most other postures can only be reached by letting go.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0
     began = time.perf_counter()
     rng = np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64))
     checker = problem.collision_checker(SAMPLE_MARGIN)
-    goals = sample_region(problem.robot, problem.goal_region, checker, rng, MAX_GOALS)
+    held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
+    near = problem.start if held else None
+    goals = sample_region(problem.robot, problem.goal_region, checker, rng, MAX_GOALS, within=held, near=near)
     return problem.with_goals(goals.configurations), time.perf_counter() - began

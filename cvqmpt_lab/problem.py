@@ -6,9 +6,11 @@ manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-pro
     {"schema": "cvqmpt-problem/1", "name": "...",
      "robot": {"name": "panda", "finger_opening": 0.04}
            or {"urdf": "arm.urdf", "end_effector": "tool", "srdf": null, "locked": {"joint": 0.0}},
+              either with "articulated": {...}  (see ArticulatedObject.to_dict),
      "scene": {...}  (see Scene.to_dict),
      "attachments": [{"name", "shape", "T_hand_object"}],
      "constraint": [{"T0_w": 4x4, "Tw_e": 4x4, "Bw": 6x2, null = free}],
+                    (with "base": a frame of the robot, T0_w is the pose of w in that frame, see TaskSpaceRegionChain)
      "start": [n numbers],
      "goals": [[n numbers], ...]  and / or  "goal_region": {"T0_w", "Tw_e", "Bw"}}
 """
@@ -22,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain, region_from_dict
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, InvalidProblemError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -66,6 +69,13 @@ class PlanningProblem:
             )
         if len(goals) == 0 and self.goal_region is None:
             raise InvalidProblemError(f"{self.name}: give 'goals' (configurations) or a 'goal_region'")
+        if isinstance(self.goal_region, TaskSpaceRegionChain):
+            raise InvalidProblemError(
+                f"{self.name}: 'goal_region' hangs on {self.goal_region.base!r}, which moves; give one in the world: "
+                f"TaskSpaceRegionChain.at(pose of {self.goal_region.base!r})"
+            )
+        for region in self.constraint:
+            region.reference_link(self.robot)  # raises UnknownChoiceError for a frame that does not exist
         for label, q in self._labelled(start, goals):
             if not np.isfinite(q).all():
                 raise InvalidProblemError(
@@ -144,15 +154,11 @@ class PlanningProblem:
             scene=Scene.from_dict(_mapping(data["scene"], "scene")),
             start=_numbers(data["start"], "start"),
             goals=_numbers(data.get("goals", []), "goals"),
-            constraint=tuple(
-                TaskSpaceRegion.from_dict(_mapping(r, "constraint")) for r in _list(data, "constraint")
-            ),
+            constraint=tuple(region_from_dict(_mapping(r, "constraint")) for r in _list(data, "constraint")),
             attachments=tuple(
                 Attachment.from_dict(_mapping(a, "attachments")) for a in _list(data, "attachments")
             ),
-            goal_region=TaskSpaceRegion.from_dict(_mapping(region, "goal_region"))
-            if region is not None
-            else None,
+            goal_region=region_from_dict(_mapping(region, "goal_region")) if region is not None else None,
         )
 
     def save(self, path: Path | str) -> None:

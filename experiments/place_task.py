@@ -80,7 +80,7 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
     rng = np.random.default_rng([environment, 0])
     start = sample_region(robot, grasp_region(can_com(environment)), checker, rng, count=1)
     if len(start.configurations) == 0:
-        return UnsolvableProblem(name, _why("start grasp", start))
+        return UnsolvableProblem(name, no_grasp("start grasp", start))
     return PlanningProblem(
         name=name,
         robot=robot,
@@ -93,7 +93,8 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
     )
 
 
-def _why(what: str, sample: GoalSample) -> str:
+def no_grasp(what: str, sample: GoalSample) -> str:
+    """Why sampling brought nothing."""
     return (
         f"no {what}: of {sample.poses_tried} poses, {sample.unreachable} without inverse kinematics, "
         f"{sample.colliding} in collision"

@@ -134,7 +134,7 @@ def test_layers_and_doors_are_kept(tmp_path):
     ("old", "new", "broken"),
     [
         (
-            "    cvqmpt_lab.scene.collision\n    cvqmpt_lab.robot.loading",
+            "    cvqmpt_lab.scene.collision\n    cvqmpt_lab.robot.hulls",
             "    cvqmpt_lab.scene.collision",
             "-> coal",
         ),

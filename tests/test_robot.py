@@ -8,7 +8,8 @@ import pytest
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.kinematics import link_poses
-from cvqmpt_lab.robot.loading import hull_vertices, load_robot, robot_from_source
+from cvqmpt_lab.robot.hulls import hull_vertices
+from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.robot.loading import panda as load_panda
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])

@@ -4,6 +4,7 @@ Newton's method from random configurations serves any serial robot and needs no 
 the projection that the planners use.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,16 +17,31 @@ from cvqmpt_lab.scene.collision import CollisionChecker
 TOLERANCE = 1e-6  # [m, rad] on the pose
 MAX_ITERATIONS = 20
 ATTEMPTS = 12  # random configurations Newton's method starts from, per pose
+NEAR = 0.3  # [rad] standard deviation of starts around a given configuration
 POSES = 25  # drawn at once
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
 
 
 def solve_poses(
-    robot: Robot, poses: np.ndarray, rng: np.random.Generator, attempts: int = ATTEMPTS
+    robot: Robot,
+    poses: np.ndarray,
+    rng: np.random.Generator,
+    attempts: int = ATTEMPTS,
+    within: Sequence[TaskSpaceRegion] = (),
+    near: np.ndarray | None = None,
 ) -> list[np.ndarray]:
-    """Configurations inside the limits that reach end-effector poses (k, 4, 4): k arrays (<= attempts, n)."""
-    regions = stack_regions(robot, (TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2))),))
-    configurations = robot.random_configurations(rng, len(poses) * attempts).reshape(len(poses), attempts, -1)
+    """Configurations inside the limits that reach end-effector poses (k, 4, 4): k arrays (<= attempts, n).
+
+    within: regions kept at the same time; that of a held handle puts its door where the hand is.
+    near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
+    """
+    there = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
+    regions = stack_regions(robot, (there, *within))
+    shape = (len(poses), attempts, robot.dof)
+    if near is None:
+        configurations = robot.random_configurations(rng, len(poses) * attempts).reshape(shape)
+    else:
+        configurations = near + NEAR * rng.standard_normal(shape)
     reached = reach_poses(
         robot.kinematics,
         regions,
@@ -62,13 +78,18 @@ def sample_region(
     rng: np.random.Generator,
     count: int,
     max_poses: int = 100,
+    within: Sequence[TaskSpaceRegion] = (),
+    near: np.ndarray | None = None,
 ) -> GoalSample:
-    """Draw up to count collision-free configurations whose end effector lies in a region, one per pose."""
+    """Draw up to count collision-free configurations whose end effector lies in a region, one per pose.
+
+    within, near: see `solve_poses`.
+    """
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
         poses = np.array([region.sample_pose(rng) for _ in range(min(POSES, max_poses - tried))])
-        for candidates in solve_poses(robot, poses, rng):
+        for candidates in solve_poses(robot, poses, rng, within=within, near=near):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
             if free is not None:

@@ -58,6 +58,14 @@ class TaskSpaceRegion:
             row = int(np.argmax(self.Bw[:, 0] > self.Bw[:, 1]))
             raise InvalidInputError(f"task-space region field 'Bw': row {row} has lower > upper")
 
+    def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
+        """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
+        return 0, self.T0_w
+
+    def reference_pose(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """T_world_w (4, 4) at configuration q (n,), by pinocchio."""
+        return self.T0_w
+
     @property
     def bounded_rows(self) -> np.ndarray:
         """Indices (m,) of the entries of Bw that can be violated."""
@@ -174,6 +182,7 @@ def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: floa
     use, so that straight joint motions between two states on the rim stay inside.
     """
     link, T_link_e = robot.end_effector_link
+    references = [member.reference_link(robot) for member in members]
     ends = [T_link_e @ np.linalg.inv(member.Tw_e) for member in members]
     rows = [(k, row) for k, member in enumerate(members) for row in member.bounded_rows]
     bounds = np.array([members[k].Bw[row] for k, row in rows]).reshape(-1, 2)
@@ -181,11 +190,11 @@ def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: floa
     k = len(members)
     return Regions(
         link=np.full(k, link, dtype=np.int64),
-        base=np.zeros(k, dtype=np.int64),
+        base=np.array([row for row, _ in references], dtype=np.int64),
         end_rotation=np.array([T[:3, :3] for T in ends]).reshape(k, 3, 3),
         end_translation=np.array([T[:3, 3] for T in ends]).reshape(k, 3),
-        reference_rotation=np.array([m.T0_w[:3, :3] for m in members]).reshape(k, 3, 3),
-        reference_translation=np.array([m.T0_w[:3, 3] for m in members]).reshape(k, 3),
+        reference_rotation=np.array([T[:3, :3] for _, T in references]).reshape(k, 3, 3),
+        reference_translation=np.array([T[:3, 3] for _, T in references]).reshape(k, 3),
         region=np.array([k for k, _ in rows], dtype=np.int64),
         axis=np.array([row for _, row in rows], dtype=np.int64),
         lower=bounds[:, 0] + inset,

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.result import Path
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.collision import CollisionChecker
 
 RESOLUTION = 0.01  # [rad] between checked states
@@ -59,8 +60,7 @@ def certify(
     if unusable:
         return Certificate((unusable,), np.nan, np.nan, np.nan, 0)
     states = _resampled(path.states, resolution)
-    poses = np.array([problem.robot.pose(q) for q in states])
-    radians, metres = _violations(problem.constraint, poses)
+    radians, metres = _violations(problem.robot, problem.constraint, states)
     reasons = [*_end_reasons(problem, path), *_motion_reasons(problem, path, states)]
     if max(radians, metres) > TOLERANCE:
         reasons.append(f"off the manifold by {radians:.2g} rad, {metres:.2g} m")
@@ -90,11 +90,15 @@ def _resampled(states: np.ndarray, resolution: float) -> np.ndarray:
     return np.concatenate(pieces)
 
 
-def _violations(regions: tuple[TaskSpaceRegion, ...], poses: np.ndarray) -> tuple[float, float]:
-    """Largest distance outside the bounds over poses (m, 4, 4), in [rad] and [m]."""
+def _violations(
+    robot: Robot, regions: tuple[TaskSpaceRegion, ...], states: np.ndarray
+) -> tuple[float, float]:
+    """Largest distance outside the bounds over states (m, n), in [rad] and [m]."""
+    poses = np.array([robot.pose(q) for q in states])
     radians = metres = 0.0
     for region in regions:
-        T = np.linalg.inv(region.T0_w) @ poses @ np.linalg.inv(region.Tw_e)
+        references = np.array([region.reference_pose(robot, q) for q in states])
+        T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
         vectors = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
         lower, upper = region.Bw.T
         free_turn = (lower[3:] <= -np.pi) & (upper[3:] >= np.pi)
@@ -112,7 +116,7 @@ def _end_reasons(problem: PlanningProblem, path: Path) -> list[str]:
     end = path.states[-1]
     at_goal = len(problem.goals) > 0 and np.abs(problem.goals - end).max(axis=1).min() <= END_TOLERANCE
     if not at_goal and problem.goal_region is not None:
-        at_goal = max(_violations((problem.goal_region,), problem.robot.pose(end)[None])) <= TOLERANCE
+        at_goal = max(_violations(problem.robot, (problem.goal_region,), end[None])) <= TOLERANCE
     return reasons if at_goal else [*reasons, "does not end at a goal"]
 
 

@@ -1,5 +1,6 @@
 """Building a `Robot` from a URDF: the Franka Panda of example-robot-data, or the user's own arm."""
 
+import json
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
@@ -7,14 +8,15 @@ from functools import lru_cache
 from numbers import Real
 from pathlib import Path
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.kernels.kinematics import Kinematics
+from cvqmpt_lab.robot.arrays import axis_frames, in_link, kinematics_arrays
+from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.limits import PANDA_ACCELERATION, positive_per_joint
-from cvqmpt_lab.robot.robot import LinkGeometry, Robot
+from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
+from cvqmpt_lab.robot.robot import Robot
 
 FINGER_OPENING = 0.04  # [m] each finger of the Panda's hand, its largest
 CURES = {
@@ -83,13 +85,13 @@ def load_robot(
         raise UnknownChoiceError("end-effector frame", end_effector, bodies)
     model, geometry = _fix_joints(model, geometry, locked)
     _refuse_bad_model(model, urdf)
-    _replace_meshes_by_hulls(geometry)
+    replace_meshes_by_hulls(geometry)
     pairs, overlaps = _self_collision_pairs(model, geometry, srdf)
     accelerations = None
     if acceleration_limits is not None:
         names = list(model.names)[1:]
         accelerations = positive_per_joint("acceleration limit", acceleration_limits, names, "rad/s^2")
-    axes = _axis_frames(model)
+    axes = axis_frames(model)
     hand = model.frames[model.getFrameId(end_effector)]
     return Robot(
         name=model.name,
@@ -105,9 +107,9 @@ def load_robot(
         model=model,
         collision_model=geometry,
         end_effector=end_effector,
-        end_effector_link=_in_link(axes, hand.parentJoint, hand.placement),
-        kinematics=_kinematics(model, axes),
-        links=tuple(_link_geometry(g, axes) for g in geometry.geometryObjects),
+        end_effector_link=in_link(axes, hand.parentJoint, hand.placement),
+        kinematics=kinematics_arrays(model, axes),
+        links=tuple(link_geometry(g, axes) for g in geometry.geometryObjects),
         self_collision_pairs=pairs,
         resting_overlaps=overlaps,
         acceleration_limits=accelerations,
@@ -115,19 +117,30 @@ def load_robot(
 
 
 def robot_from_source(source: Mapping) -> Robot:
-    """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``."""
+    """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``.
+
+    Either with an "articulated" object, see `ArticulatedObject.to_dict`, whose joint then comes last.
+    """
+    arm = {key: value for key, value in source.items() if key != "articulated"}
     try:
-        return _cached_robot(tuple(sorted((k, _frozen(v)) for k, v in source.items())))
+        robot = _cached_robot(tuple(sorted((k, _frozen(v)) for k, v in arm.items())))
+        articulated = json.dumps(source["articulated"], sort_keys=True) if "articulated" in source else ""
     except (TypeError, ValueError) as error:
         raise InvalidInputError(
             f"problem field 'robot' is malformed: {' '.join(str(error).split())}"
         ) from error
+    return _cached_mechanism(robot, articulated) if articulated else robot
 
 
 def _frozen(value: object) -> object:
     if isinstance(value, Mapping):
         return tuple(sorted(value.items()))
     return tuple(value) if isinstance(value, list) else value
+
+
+@lru_cache(maxsize=8)
+def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
+    return with_articulated_object(robot, ArticulatedObject.from_dict(json.loads(articulated)))
 
 
 @lru_cache(maxsize=8)
@@ -206,55 +219,6 @@ def _refuse_bad_model(model: pin.Model, urdf: Path) -> None:
             )
 
 
-def _replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
-    """Every collision mesh becomes its convex hull."""
-    for item in geometry.geometryObjects:
-        shape = item.geometry
-        if isinstance(shape, coal.BVHModelBase):
-            if shape.num_vertices == 0:
-                raise InvalidInputError(f"collision mesh {item.meshPath or item.name} is empty")
-            try:
-                shape.buildConvexHull(True, "Qt")
-            except (ValueError, RuntimeError) as error:
-                raise InvalidInputError(
-                    f"collision mesh {item.meshPath or item.name} has no volume: its convex hull is flat"
-                ) from error
-            item.geometry = shape.convex
-
-
-def _link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
-    link, T_link_geometry = _in_link(frames, item.parentJoint, item.placement)
-    return LinkGeometry(item.name, link, T_link_geometry, hull_vertices(item.geometry))
-
-
-def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
-    """Vertices (n, 3) [m] of a polytope that contains the shape: exact for hulls and boxes.
-
-    Round shapes (cylinder, capsule, sphere) are circumscribed by 24-sided prisms or boxes.
-    """
-    if isinstance(shape, coal.ConvexBase):
-        points = shape.points()
-        return np.array(points, dtype=float).reshape(-1, 3)
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-    if isinstance(shape, coal.Box):
-        return corners * shape.halfSide
-    if isinstance(shape, coal.Sphere):
-        return corners * shape.radius
-    if isinstance(shape, coal.Cylinder | coal.Capsule):
-        half = shape.halfLength + (shape.radius if isinstance(shape, coal.Capsule) else 0.0)
-        return prism_vertices(shape.radius, half)
-    raise InvalidInputError(
-        f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
-    )
-
-
-def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.ndarray:
-    """Vertices (2 sides, 3) of the prism around a cylinder along z [m]."""
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.concatenate([np.c_[ring, np.full(sides, z)] for z in (-half_length, half_length)])
-
-
 def _self_collision_pairs(model: pin.Model, geometry: pin.GeometryModel, srdf: Path | str | None):
     """Pairs to check, and the names of pairs skipped because they overlap at rest."""
     geometry.addAllCollisionPairs()
@@ -284,44 +248,3 @@ def _skip_neighbours(model: pin.Model, geometry: pin.GeometryModel) -> None:
         a, b = (geometry.geometryObjects[i].parentJoint for i in (pair.first, pair.second))
         if a == b or model.parents[a] == b or model.parents[b] == a:
             geometry.removeCollisionPair(pair)
-
-
-def _axis_frames(model: pin.Model) -> list[np.ndarray]:
-    """Per pose row, the rotation (3, 3) that turns pinocchio's joint frame so that its z is the joint axis."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    frames = [np.eye(3)]
-    for j in range(1, model.njoints):
-        motion = pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL)[:, j - 1]
-        axis = motion[3:] if np.linalg.norm(motion[3:]) > 0.5 else motion[:3]
-        z = np.array([0.0, 0.0, 1.0])
-        frames.append(pin.Quaternion.FromTwoVectors(z, axis).toRotationMatrix())
-    return frames
-
-
-def _kinematics(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
-    """Plain arrays of a model, in joint frames whose z is the joint axis."""
-    n = model.nq
-    parent = np.array([model.parents[j + 1] for j in range(n)], dtype=np.int64)
-    placements = [model.jointPlacements[j + 1] for j in range(n)]
-    moves = np.zeros((n, n + 1), dtype=bool)
-    for k in range(1, n + 1):
-        for j in model.supports[k]:
-            if j > 0:
-                moves[j - 1, k] = True
-    return Kinematics(
-        parent=parent,
-        rotation=np.array([frames[parent[j]].T @ placements[j].rotation @ frames[j + 1] for j in range(n)]),
-        translation=np.array([frames[parent[j]].T @ placements[j].translation for j in range(n)]),
-        prismatic=np.array([j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]),
-        lower=np.array(model.lowerPositionLimit),
-        upper=np.array(model.upperPositionLimit),
-        moves=moves,
-    )
-
-
-def _in_link(frames: list[np.ndarray], joint: int, placement: pin.SE3) -> tuple[int, np.ndarray]:
-    """Pose row and (4, 4) placement of something that pinocchio attaches to a joint."""
-    T = placement.homogeneous
-    T[:3] = frames[joint].T @ T[:3]
-    return int(joint), T

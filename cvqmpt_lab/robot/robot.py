@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.kinematics import Kinematics
+from cvqmpt_lab.robot.arrays import axis_frames, in_link
 from cvqmpt_lab.robot.limits import JointLimits
 
 
@@ -36,7 +37,9 @@ class LinkGeometry:
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A serial arm with n one-degree-of-freedom joints; build it with `panda` or `load_robot`.
+    """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
+
+    Build it with `panda`, `load_robot` or `with_articulated_object`.
 
     Attributes
     ----------
@@ -104,7 +107,7 @@ class Robot:
 
     @cached_property
     def reach(self) -> float:
-        """Radius [m] of a ball around the base frame that no link, and no end-effector frame, can leave."""
+        """Radius [m] of a ball around the base frame that no moving link, and no end-effector frame, can leave."""
         k = self.kinematics
         distance = np.zeros(self.dof + 1)
         for j in range(self.dof):
@@ -113,6 +116,8 @@ class Robot:
         link, T = self.end_effector_link
         ends = [distance[link] + np.linalg.norm(T[:3, 3])]
         for piece in self.links:
+            if piece.link == 0:
+                continue
             points = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
             ends.append(distance[piece.link] + np.linalg.norm(points, axis=1).max())
         return float(max(ends))
@@ -124,6 +129,13 @@ class Robot:
             raise InvalidInputError(f"robot {self.name} has no frame {frame!r}; see `Robot.frame_names`")
         pin.forwardKinematics(self.model, self._data, np.asarray(q, dtype=float))
         return pin.updateFramePlacement(self.model, self._data, frame_id).homogeneous
+
+    def link_of(self, frame: str) -> tuple[int, np.ndarray]:
+        """Pose row that carries a body frame, and T_link_frame (4, 4); UnknownChoiceError lists the frames."""
+        if frame not in self.frame_names:
+            raise UnknownChoiceError(f"frame of robot {self.name}", frame, self.frame_names)
+        body = self.model.frames[self.model.getFrameId(frame, pin.FrameType.BODY)]
+        return in_link(axis_frames(self.model), body.parentJoint, body.placement)
 
     @property
     def frame_names(self) -> tuple[str, ...]:

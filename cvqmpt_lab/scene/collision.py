@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -166,21 +167,27 @@ def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple
     ]
 
 
+def shape_distance(
+    first: coal.CollisionGeometry,
+    T_world_first: np.ndarray,
+    second: coal.CollisionGeometry,
+    T_world_second: np.ndarray,
+) -> float:
+    """Signed distance [m] of two shapes of `coal_shape`; negative where they overlap."""
+    poses = [coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (T_world_first, T_world_second)]
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return float(coal.distance(first, poses[0], second, poses[1], request, result))
+
+
 def coal_shape(shape: Shape) -> coal.CollisionGeometry:
     """The coal geometry of a shape; a point cloud becomes an octree with cells of its ball diameter."""
     return COAL_SHAPES[type(shape)](shape)
-
-
-def _coal_hull(mesh: ConvexMesh) -> coal.CollisionGeometry:
-    points = coal.StdVec_Vec3s()
-    points.extend(list(mesh.vertices))
-    return coal.Convex.convexHull(points, True, "Qt")
 
 
 COAL_SHAPES = {
     Box: lambda box: coal.Box(*box.size),
     Cylinder: lambda cylinder: coal.Cylinder(cylinder.radius, cylinder.height),
     Sphere: lambda sphere: coal.Sphere(sphere.radius),
-    ConvexMesh: _coal_hull,
+    ConvexMesh: lambda mesh: convex_hull(mesh.vertices),
     PointCloud: lambda cloud: coal.makeOctree(cloud.points, 2.0 * cloud.radius),
 }

@@ -1,0 +1,66 @@
+"""Collision shapes of links as convex polytopes."""
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.arrays import in_link
+from cvqmpt_lab.robot.robot import LinkGeometry
+
+
+def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
+    """Every collision mesh becomes its convex hull."""
+    for item in geometry.geometryObjects:
+        shape = item.geometry
+        if isinstance(shape, coal.BVHModelBase):
+            if shape.num_vertices == 0:
+                raise InvalidInputError(f"collision mesh {item.meshPath or item.name} is empty")
+            try:
+                shape.buildConvexHull(True, "Qt")
+            except (ValueError, RuntimeError) as error:
+                raise InvalidInputError(
+                    f"collision mesh {item.meshPath or item.name} has no volume: its convex hull is flat"
+                ) from error
+            item.geometry = shape.convex
+
+
+def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
+    """The convex hull of points (n, 3) [m], as coal sees it."""
+    listed = coal.StdVec_Vec3s()
+    listed.extend(list(points))
+    return coal.Convex.convexHull(listed, True, "Qt")
+
+
+def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
+    """A convex piece as plain data; frames: what `axis_frames` returned."""
+    link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
+    return LinkGeometry(item.name, link, T_link_geometry, hull_vertices(item.geometry))
+
+
+def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
+    """Vertices (n, 3) [m] of a polytope that contains the shape: exact for hulls and boxes.
+
+    Round shapes (cylinder, capsule, sphere) are circumscribed by 24-sided prisms or boxes.
+    """
+    if isinstance(shape, coal.ConvexBase):
+        points = shape.points()
+        return np.array(points, dtype=float).reshape(-1, 3)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+    if isinstance(shape, coal.Box):
+        return corners * shape.halfSide
+    if isinstance(shape, coal.Sphere):
+        return corners * shape.radius
+    if isinstance(shape, coal.Cylinder | coal.Capsule):
+        half = shape.halfLength + (shape.radius if isinstance(shape, coal.Capsule) else 0.0)
+        return prism_vertices(shape.radius, half)
+    raise InvalidInputError(
+        f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
+    )
+
+
+def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.ndarray:
+    """Vertices (2 sides, 3) of the prism around a cylinder along z [m]."""
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.concatenate([np.c_[ring, np.full(sides, z)] for z in (-half_length, half_length)])

@@ -1,0 +1,104 @@
+"""Taking a door or drawer out of a scene, so that it can become a joint of the robot."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.robot.hulls import hull_vertices
+from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
+from cvqmpt_lab.scene.collision import coal_shape, shape_distance
+from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import FloatArray, PointCloud
+
+REST_GAP = 1e-3  # [m] pieces that come closer to the object somewhere on its way are part of its casing, ...
+DEEPEST = 1e-4  # [m] ... unless it goes deeper into them: then they are obstacles that stop it
+CREEP = 1e-3  # [m] between looks at pieces closer than REST_GAP
+
+
+class TakenOut(NamedTuple):
+    """A scene without a door or drawer and its casing, and these two as an object for a robot."""
+
+    scene: Scene
+    articulated: ArticulatedObject
+
+
+def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()) -> TakenOut:
+    """Take the articulation `name` out of a scene, whatever its present value.
+
+    A closed door stands between the boards of its cabinet with half a millimetre of play: less than
+    planners keep from obstacles. Such boards become the object's casing, which is checked against the
+    robot only. A fixed obstacle belongs to the casing when somewhere on the object's whole way it is
+    closer than `REST_GAP`, and nowhere entered deeper than `DEEPEST`. Anything else stays an obstacle
+    for the moving object too, e.g. a box in its way and its neighbour doors.
+
+    may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
+
+    Raises
+    ------
+    UnknownChoiceError: an articulation that the scene does not have; lists those it has.
+    """
+    joint = scene.articulation(name)
+    movers = [scene[part] for part in joint.moves]
+    moved = {part for item in scene.articulations for part in item.moves}
+    fixed = [
+        item for item in scene.obstacles if item.name not in moved and not isinstance(item.shape, PointCloud)
+    ]
+    casing = [item for item in fixed if _rests_against(joint, movers, item)]
+    T_world_joint = joint.T_world_joint @ pose((0.0, 0.0, _along_axis(joint, movers)))
+    T_joint_world = np.linalg.inv(T_world_joint @ _motion(joint, joint.value))
+    articulated = ArticulatedObject(
+        name=name,
+        kind=joint.kind,
+        T_world_joint=T_world_joint,
+        lower=joint.lower,
+        upper=joint.upper,
+        parts=tuple(_part(item, T_joint_world @ item.T_world_object) for item in movers),
+        casing=tuple(_part(item, item.T_world_object) for item in casing),
+        may_touch=tuple(may_touch),
+    )
+    return TakenOut(scene.without(*joint.moves, *(item.name for item in casing)), articulated)
+
+
+def _part(item: SceneObject, T: FloatArray) -> Part:
+    """The polytope around an object's shape; round shapes are circumscribed."""
+    return Part(item.name, T, hull_vertices(coal_shape(item.shape)))
+
+
+def _motion(joint: Articulation, value: float) -> FloatArray:
+    """Motion (4, 4) of the joint, in its own frame, from 0 to a value."""
+    return pose((0.0, 0.0, 0.0), value) if joint.kind == "hinge" else pose((0.0, 0.0, value))
+
+
+def _along_axis(joint: Articulation, movers: Sequence[SceneObject]) -> float:
+    """Mean height [m] of the moving objects over the joint frame: there the joint's links stay close to it."""
+    T_joint_world = np.linalg.inv(joint.T_world_joint @ _motion(joint, joint.value))
+    return float(np.mean([(T_joint_world @ item.T_world_object)[2, 3] for item in movers]))
+
+
+def _rests_against(joint: Articulation, movers: Sequence[SceneObject], item: SceneObject) -> bool:
+    """Whether an object comes close to a fixed one somewhere on its way, and enters it nowhere."""
+    shape = coal_shape(item.shape)
+    close = False
+    for mover in movers:
+        moving, speed = coal_shape(mover.shape), _speed(joint, mover)
+        value = joint.lower
+        while True:
+            T = joint.displacement(value) @ mover.T_world_object
+            distance = shape_distance(moving, T, shape, item.T_world_object)
+            if distance < -DEEPEST:
+                return False
+            close = close or distance < REST_GAP
+            if value >= joint.upper:
+                break
+            value = min(joint.upper, value + max(distance - REST_GAP, CREEP) / speed)
+    return close
+
+
+def _speed(joint: Articulation, mover: SceneObject) -> float:
+    """How far any point of an object moves per unit of its joint [m/rad, or 1 for a slider]."""
+    if joint.kind == "slider":
+        return 1.0
+    T = np.linalg.inv(joint.T_world_joint) @ mover.T_world_object
+    points = hull_vertices(coal_shape(mover.shape)) @ T[:3, :3].T + T[:3, 3]
+    return float(np.linalg.norm(points[:, :2], axis=1).max())
