@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
-from cvqmpt_lab.planning.table import PLANNERS
 
 
 def positive_int(text: str) -> int:

@@ -8,9 +8,9 @@ from pathlib import Path
 from cli.options import add_budget, budget, writable_file
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.evaluation.certificate import certify
+from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Path as JointPath
-from cvqmpt_lab.planning.table import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import UnsolvableProblem
 from experiments.suites import SUITES, suite_named

@@ -8,7 +8,7 @@ from cli.figure_options import FIGURES, add_figure_options, refuse_others, run_f
 from cli.options import ProgressBar, add_budget, budget, planner_list, positive_int
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.evaluation.results import ResultRow
-from cvqmpt_lab.planning.table import PLANNERS
+from cvqmpt_lab.methods.table import PLANNERS
 from experiments.run import Experiment, default_jobs, run_experiment
 from experiments.suites import SUITES, suite_named
 from experiments.warmup import compile_kernels

@@ -10,11 +10,11 @@ from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.kernels.compiling import driver
 from cvqmpt_lab.kernels.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.projection import project_batch, projection_scratch
+from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.planning.table import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.collision import CollisionChecker

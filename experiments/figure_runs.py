@@ -98,7 +98,7 @@ def _histogram(update: LatentUpdate, folder: Path) -> list[Path]:
 
 def _concept(update: LatentUpdate, folder: Path) -> list[Path]:
     change = hand_change(update, update.representatives()[FAR])
-    figure = hand_figure(update.problem, change)
+    figure = hand_figure(update.problem, change.panels)
     return [*save_figure(figure, folder, "concept"), write_hands(change, folder / "concept.csv")]
 
 

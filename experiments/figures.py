@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from cvqmpt_lab.evaluation.provenance import write_bytes_atomic
 from cvqmpt_lab.picture import Camera, still_image
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.hand_poses import HandChange, HandPoses
+from experiments.hand_poses import HandPoses
 from experiments.histogram import CodeChange
 from experiments.latent_update import FAR, NEAR
 
@@ -93,24 +93,23 @@ def _draw_tail(axes: Axes, change: CodeChange) -> None:
     axes.legend(frameon=False, fontsize="small", loc="lower left")
 
 
-def hand_figure(problem: PlanningProblem, change: HandChange, camera: Camera = CLOSE) -> Figure:
-    """Hands before and after over a picture of the scene: a stick each, upwards, coloured by its tilt."""
-    size = (900, 690)
-    image = still_image(problem, problem.start, size, camera)
-    figure = Figure(figsize=(10.4, 4.05), layout="constrained")
-    norm = Normalize(0.0, np.degrees(max(0.5, np.quantile(change.before.tilt, 0.95))))
-    panels = figure.subplots(1, 2)
-    for axes, hands, g, when in (
-        (panels[0], change.before, change.g_before, "before"),
-        (panels[1], change.after, change.g_after, "after"),
-    ):
+def hand_figure(
+    problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], camera: Camera = CLOSE
+) -> Figure:
+    """Titled panels of hands over a picture of the scene: a stick each, upwards, coloured by its tilt."""
+    image = still_image(problem, problem.start, (900, 690), camera)
+    figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
+    tilts = np.concatenate([hands.tilt for _, hands in panels])
+    norm = Normalize(0.0, np.degrees(max(0.5, np.quantile(tilts, 0.9))))
+    axes_of = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (title, hands) in zip(axes_of, panels, strict=True):
         axes.imshow(0.45 * image / 255.0 + 0.55)
         _draw_hands(axes, hands, camera, image.shape[:2], norm)
-        tilt = np.degrees(np.median(hands.tilt))
-        axes.set(title=f"{when}: median tilt {tilt:.0f}°, mean $F^TF$ {g.mean():.2g} rad$^2$")
+        axes.set(title=title)
         axes.axis("off")
     colours = ScalarMappable(norm, "viridis_r")
-    figure.colorbar(colours, ax=panels, label="tilt of the hand [deg]", extend="max", shrink=0.95, pad=0.01)
+    label = "tilt of the hand [deg]"
+    figure.colorbar(colours, ax=axes_of, label=label, extend="max", shrink=0.95, pad=0.01)
     return figure
 
 

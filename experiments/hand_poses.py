@@ -48,6 +48,20 @@ class HandChange:
     g_before: np.ndarray
     g_after: np.ndarray
 
+    @property
+    def panels(self) -> list[tuple[str, HandPoses]]:
+        """Titled hands for `figures.hand_figure`."""
+        return [
+            (
+                f"{when}: median tilt {np.degrees(np.median(hands.tilt)):.0f}°, mean $F^TF$ {g.mean():.2g} rad$^2$",
+                hands,
+            )
+            for when, hands, g in (
+                ("before", self.before, self.g_before),
+                ("after", self.after, self.g_after),
+            )
+        ]
+
 
 def hand_change(update: LatentUpdate, index: int, count: int = 120) -> HandChange:
     """The first draws of a code, which is counted in the prediction's."""

@@ -15,9 +15,9 @@ from pathlib import Path
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.evaluation.metrics import result_row
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget, PlanStatus
-from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import place_problem
 from paper_tables.render import PUBLISHED

@@ -17,10 +17,10 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceErr
 from cvqmpt_lab.evaluation.metrics import result_row
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.evaluation.results import ResultRow, RunKey, RunStore
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
-from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import UnsolvableProblem
 from experiments.suites import suite_named

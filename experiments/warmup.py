@@ -6,11 +6,11 @@ from collections.abc import Callable
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import compiled_before
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.place_task import place_problem
 

@@ -8,7 +8,7 @@ import pytest
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.evaluation.results import ResultRow, RunStore
-from cvqmpt_lab.planning import table
+from cvqmpt_lab.methods import table
 from cvqmpt_lab.planning.birrt import BiRRT
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, Outcome, compare, made_with, measure

@@ -11,11 +11,11 @@ import pytest
 
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidProblemError
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject, pose

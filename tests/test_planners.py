@@ -14,11 +14,11 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.evaluation.certificate import certify
 from cvqmpt_lab.evaluation.metrics import path_hash
 from cvqmpt_lab.kernels.space import StateCheck
+from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
-from cvqmpt_lab.planning.table import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.collision import CollisionChecker
 

@@ -13,9 +13,9 @@ from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain, region_from_dict
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.evaluation.certificate import certify
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget, Path
-from cvqmpt_lab.planning.table import planner_named
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.collision import CollisionChecker

@@ -4,13 +4,13 @@ import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import torch
 
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution, Uniform
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult
 from cvqmpt_lab.planning.simplify import simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians
 from cvqmpt_lab.prediction.predictor import Predictor
 
 
@@ -90,16 +90,12 @@ class TrueCodes:
             vertices=guide.vertices + result.vertices,
         )
 
-    @torch.inference_mode()
     def _mixture(self, path: Path, space: ConstrainedSpace) -> GaussianMixture:
         """Gaussians of the distinct codes of a path, with the predictor's uniform share."""
-        model, dictionary = self.predictor.configurations, self.predictor.checkpoint.dictionary
-        waypoints = torch.from_numpy(model.of(path.spaced(self.spacing)))
-        codes = np.unique(dictionary.encode(waypoints[None])[0].numpy())
-        gaussians = dictionary.code_gaussians(torch.from_numpy(codes))
-        means = model.radians(gaussians.mean.numpy().astype(float))
-        covariances = gaussians.covariance.numpy().astype(float) * np.outer(model.range, model.range)
+        checkpoint = self.predictor.checkpoint
+        means, covariances = dictionary_gaussians(checkpoint, space.robot)
+        codes = np.unique(codes_of(checkpoint, space.robot, path.spaced(self.spacing)))
         uniform = Uniform(space.robot.lower, space.robot.upper)
-        weights = np.full(len(means), 1.0 / len(means))
+        weights = np.full(len(codes), 1.0 / len(codes))
         share = self.predictor.settings.uniform_share
-        return GaussianMixture(means, covariances, weights, uniform, share, self.name)
+        return GaussianMixture(means[codes], covariances[codes], weights, uniform, share, self.name)

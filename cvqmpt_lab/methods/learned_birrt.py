@@ -51,7 +51,9 @@ class LearnedBiRRT:
             constraint = RegionConstraint(space.robot, tuple(space.problem.constraint))
             result = self.optimizer.optimize(prediction, constraint, rng)
             z, optimized = result.z, result.seconds
-            detail += f", G {result.g_before.mean():.3g} to {result.g_after.mean():.3g}, {result.kept.sum()} kept"
+            detail += (
+                f", G {result.g_before.mean():.3g} to {result.g_after.mean():.3g}, {result.kept.sum()} kept"
+            )
         mixture = self.predictor.mixture(prediction, z)
         plan = self.core.plan(space, start, goals, mixture, budget.rest(began), rng)
         timings = Timings(prediction.encode_seconds, prediction.predict_seconds, optimized)
