@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.evaluation.comparison import RATIOS, REFERENCE, split_metric
 from cvqmpt_lab.evaluation.provenance import ProvenanceFile, write_text_atomic
 from cvqmpt_lab.evaluation.report import (
     CONFIDENCE,
     EFFORT,
     HEADLINES,
     METHOD_NOTES,
+    PAPER_COST,
     Headline,
     PlannerSummary,
     Table,
@@ -144,11 +146,14 @@ def _aligned(lines: Sequence[Sequence[str]]) -> str:
 
 
 def render_markdown(table: Table) -> str:
-    """Planners as rows, metrics as columns, paper | ours; then effort, time curve, failures and notes."""
+    """Planners as rows, metrics as columns, paper | ours; then effort, comparisons, time curve, failures and notes."""
     sections = [
         f"## {table.suite}: {table.n_problems} problems\n\n" + _aligned(_headline_lines(table)),
         "### Effort (medians)\n\n"
         + _aligned(_plain_lines(table, {name: label for name, (label, _) in EFFORT.items()})),
+        "### At the paper's cost of work\n\n"
+        + _aligned(_plain_lines(table, {name: label for name, (label, _) in PAPER_COST.items()})),
+        *([f"### Against {REFERENCE}\n\n" + _aligned(_split_lines(table))] if table.n_easy else []),
         "### Solved within a time, % of runs\n\n"
         + _aligned(_plain_lines(table, {curve_metric(time): f"{time:g} s" for time in table.curve_times})),
         "### Failures\n\n" + _failures(table),
@@ -184,6 +189,23 @@ def _headline_lines(table: Table) -> list[list[str]]:
 def _plain_lines(table: Table, metrics: Mapping[str, str]) -> list[list[str]]:
     lines = [["planner", *metrics.values()]]
     lines += [[s.name, *(_cell(s, metric) for metric in metrics)] for s in table.planners if s.n_runs]
+    return lines
+
+
+def _split_lines(table: Table) -> list[list[str]]:
+    """Ratios on all, easy and hard problems, for every planner but the one they are against."""
+    lines = [["planner", "problems", *(label for label, _ in RATIOS.values())]]
+    sizes = {"all": table.n_easy + table.n_hard, "easy": table.n_easy, "hard": table.n_hard}
+    for summary in table.planners:
+        if summary.n_runs and summary.name != REFERENCE:
+            lines += [
+                [
+                    summary.name,
+                    f"{part} ({size})",
+                    *(_cell(summary, split_metric(name, part)) for name in RATIOS),
+                ]
+                for part, size in sizes.items()
+            ]
     return lines
 
 
@@ -261,7 +283,8 @@ def render_csv(table: Table, header: bool = True) -> str:
         writer.writerow(CSV_COLUMNS)
     units = {headline.typical: headline.unit for headline in HEADLINES}
     units |= {headline.mean: headline.unit for headline in HEADLINES if headline.mean}
-    units |= {metric: unit for metric, (_, unit) in EFFORT.items()}
+    units |= {metric: unit for metric, (_, unit) in (EFFORT | PAPER_COST).items()}
+    units |= {split_metric(metric, part): "1" for metric in RATIOS for part in ("all", "easy", "hard")}
     for summary in table.planners:
         for headline in HEADLINES:
             value, metric = summary.published.get(headline.published), headline.mean or headline.typical

@@ -4,7 +4,6 @@ The same rows give the same `Table`, whatever their order; ``paper_tables/render
 """
 
 import csv
-import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,15 +12,23 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.evaluation.comparison import (
+    RATIOS,
+    REFERENCE,
+    PaperCosts,
+    Split,
+    censored,
+    paired_ratio,
+    split_by_work,
+    split_metric,
+)
 from cvqmpt_lab.evaluation.results import ResultRow, sorted_rows
 from cvqmpt_lab.evaluation.statistics import (
-    UNDEFINED,
     Interval,
     ProblemKey,
     jointly_solved,
     mean_of_solved,
     median_interval,
-    paired_ratio_interval,
     problem_key,
     wilson_interval,
 )
@@ -80,6 +87,8 @@ class Table:
     planners: tuple[PlannerSummary, ...]
     footnotes: tuple[str, ...]
     published_notes: tuple[str, ...]
+    n_easy: int  # problems by the work of `comparison.REFERENCE`; 0 and 0 where that was not run
+    n_hard: int
 
 
 HEADLINES = (
@@ -95,6 +104,12 @@ EFFORT = {
     "state_checks_median": ("state checks", "1"),
     "time_ratio": (f"time / {BASELINE}", "1"),
 }
+COSTS = PaperCosts()
+COST_RATIO_BASELINES = (REFERENCE, BASELINE)
+PAPER_COST = {
+    "paper_cost_median": ("time at the paper's cost [s]", "s"),
+    **{f"paper_cost_ratio_{name}": (f"the same / {name}", "1") for name in COST_RATIO_BASELINES},
+}
 METHOD_NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
     "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a failure.",
@@ -105,6 +120,12 @@ METHOD_NOTES = (
     "raw length: before simplification; both over the jointly solved runs.",
     "Projections, Newton iterations, state checks: medians over all runs with failures counted as infinite.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap interval.",
+    f"At the paper's cost: {1e3 * COSTS.state_check:g} ms a state check (PyBullet, itself and obstacles), "
+    f"{1e3 * COSTS.projection:g} ms a projection (Newton's method in Python; a lower bound), networks as measured "
+    "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
+    f"Easy and hard: hard are the problems in the top third by the work (projections + state checks) of {REFERENCE} "
+    "with uniform samples, median over seeds. Ratios are geometric means over problems that both solved, bootstrap "
+    "intervals; time includes goal inverse kinematics, which is the same for all.",
 )
 
 
@@ -151,7 +172,11 @@ def build_place_table(rows: Iterable[ResultRow], published: Sequence[PublishedVa
     groups = _groups(rows)
     solving = {name: group for name, group in groups.items() if any(row.solved for row in group)}
     joint = jointly_solved(solving)
-    baseline = next((group for group in groups.values() if group[0].planner == BASELINE), [])
+    baselines = {
+        name: next((group for group in groups.values() if group[0].planner == name), [])
+        for name in COST_RATIO_BASELINES
+    }
+    split = split_by_work(baselines[REFERENCE])
     slowest = max((row.t_total_s or 0.0 for row in rows), default=0.0)
     n_times = sum(time < slowest for time in CURVE_TIMES) + 1
     times = CURVE_TIMES[:n_times]
@@ -159,7 +184,7 @@ def build_place_table(rows: Iterable[ResultRow], published: Sequence[PublishedVa
     summaries = []
     for planner in order + sorted({row.planner for row in rows} - set(order)):
         own = {name: group for name, group in groups.items() if group[0].planner == planner} or {planner: []}
-        summaries += [_summary(name, own[name], published, joint, baseline, times) for name in own]
+        summaries += [_summary(name, own[name], published, joint, baselines, split, times) for name in own]
     return Table(
         suite=suites[0],
         n_problems=len({row.problem for row in rows}),
@@ -168,6 +193,8 @@ def build_place_table(rows: Iterable[ResultRow], published: Sequence[PublishedVa
         planners=tuple(summaries),
         footnotes=_footnotes(groups, solving, len(joint), summaries),
         published_notes=_published_notes(published),
+        n_easy=len(split.easy),
+        n_hard=len(split.hard),
     )
 
 
@@ -188,7 +215,8 @@ def _summary(
     rows: Sequence[ResultRow],
     published: Iterable[PublishedValue],
     joint: Collection[ProblemKey],
-    baseline: Sequence[ResultRow],
+    baselines: Mapping[str, Sequence[ResultRow]],
+    split: Split,
     times: Sequence[float],
 ) -> PlannerSummary:
     planner = rows[0].planner if rows else name
@@ -200,7 +228,7 @@ def _summary(
         paper_name=next((value.paper_name for value in paper.values()), None),
         n_runs=len(rows),
         published=paper,
-        measured=_measured(rows, frozenset(joint), baseline, times) if rows else {},
+        measured=_measured(rows, frozenset(joint), baselines, split, times) if rows else {},
         failures=tuple((status, reason, count) for (status, reason), count in ordered),
     )
 
@@ -208,7 +236,8 @@ def _summary(
 def _measured(
     rows: Sequence[ResultRow],
     joint: Collection[ProblemKey],
-    baseline: Sequence[ResultRow],
+    baselines: Mapping[str, Sequence[ResultRow]],
+    split: Split,
     times: Sequence[float],
 ) -> dict[str, Interval]:
     """Every metric of one planner; each bootstrap starts from the same seed, so columns do not interact."""
@@ -227,8 +256,16 @@ def _measured(
         "projections_median": median_interval(_censored(rows, "n_projections"), CONFIDENCE),
         "newton_iterations_median": median_interval(_censored(rows, "n_newton_iterations"), CONFIDENCE),
         "state_checks_median": median_interval(_censored(rows, "n_state_checks"), CONFIDENCE),
-        "time_ratio": _time_ratio(rows, baseline),
+        "time_ratio": paired_ratio(rows, baselines[BASELINE], lambda row: row.t_total_s, CONFIDENCE),
+        "paper_cost_median": median_interval(censored(rows, COSTS.of), CONFIDENCE),
     }
+    for name, reference in baselines.items():
+        ratio = paired_ratio(rows, reference, COSTS.of, CONFIDENCE)
+        measured[f"paper_cost_ratio_{name}"] = ratio
+    for metric, (_, value) in RATIOS.items():
+        for part, problems in split.parts.items():
+            ratio = paired_ratio(rows, baselines[REFERENCE], value, CONFIDENCE, problems)
+            measured[split_metric(metric, part)] = ratio
     for time in times:
         within = sum(value <= time for value in total)
         measured[curve_metric(time)] = wilson_interval(within, len(rows), CONFIDENCE).scaled(100)
@@ -245,30 +282,11 @@ def _defined(rows: Iterable[ResultRow], column: str) -> list[float]:
 
 
 def _censored(rows: Sequence[ResultRow], column: str) -> list[float]:
-    """Values of solved runs and +inf for failures; nothing when no solved run records the column."""
-    defined = _defined([row for row in rows if row.solved], column)
-    if not defined and any(row.solved for row in rows):
-        return []
-    return defined + [math.inf] * sum(not row.solved for row in rows)
+    return censored(rows, lambda row: getattr(row, column))
 
 
 def _mean(values: Sequence[float]) -> Interval:
     return mean_of_solved(values, np.random.default_rng(0), confidence=CONFIDENCE)
-
-
-def _time_ratio(rows: Sequence[ResultRow], baseline: Sequence[ResultRow]) -> Interval:
-    """Time against the baseline; seeds of one problem are not independent and are averaged first."""
-    reference = {problem_key(row): row.t_total_s for row in baseline if row.solved and row.t_total_s}
-    logs: dict[str, list[float]] = {}
-    for row in rows:
-        other = reference.get(problem_key(row))
-        if row.solved and row.t_total_s and other:
-            logs.setdefault(row.problem, []).append(math.log(row.t_total_s / other))
-    if not logs:
-        return UNDEFINED
-    ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
-    ones = np.ones(len(ratios))
-    return paired_ratio_interval(ratios, ones, np.random.default_rng(0), confidence=CONFIDENCE)
 
 
 def _footnotes(
@@ -289,6 +307,11 @@ def _footnotes(
     if len({row.seed for group in groups.values() for row in group}) > 1:
         notes.append(
             "Several seeds: runs count one by one except in the time ratio; intervals may be narrow."
+        )
+    if len({row.seed for group in groups.values() for row in group if row.planner == REFERENCE}) == 1:
+        notes.append(
+            f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every other planner's "
+            "ratios look better on hard problems, and worse on easy ones, than several seeds would show."
         )
     missing = [summary.name for summary in summaries if summary.n_runs == 0]
     untrained = [name for name in missing if name in NEEDS_WEIGHTS]
