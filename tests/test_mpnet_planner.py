@@ -198,6 +198,11 @@ def test_bad_input_is_named(tuning):
             MPNetSettings(**values)
 
 
+def test_by_default_cameras_give_as_many_points_as_the_network_takes(tuning):
+    checkpoint = MPNetCheckpoint(robot_signature(tuning.robot), random_network())
+    assert MPNetPlanner(checkpoint).cloud_of(tuning).shape == (CONFIG.n_points, 3)
+
+
 # ---------------------------------------------------------------- what it stands on
 
 

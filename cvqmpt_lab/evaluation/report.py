@@ -113,9 +113,9 @@ PAPER_COST = {
 METHOD_NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
     "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a failure.",
-    "Time: total wall time, goal inverse kinematics included. Median over all runs with failures counted as "
-    "infinite, order-statistic interval; the mean, because the paper gives means, leaves failures out "
-    "(bootstrap interval).",
+    "Time: total wall time, goal inverse kinematics and networks included, making point clouds not. Median over "
+    "all runs with failures counted as infinite, order-statistic interval; the mean, because the paper gives "
+    "means, leaves failures out (bootstrap interval).",
     "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint space; "
     "raw length: before simplification; both over the jointly solved runs.",
     "Projections, Newton iterations, state checks: medians over all runs with failures counted as infinite.",
