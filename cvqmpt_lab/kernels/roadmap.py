@@ -1,8 +1,8 @@
 """Shortest paths on a roadmap whose nodes are put on the manifold, and checked, only when a path needs them.
 
 A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node and edge that
-has not been found blocked. The nodes of the path it returns are projected and checked, then its edges; what
-fails is blocked and the search repeated, until a whole path holds at the fine resolution.
+has not been found blocked. The nodes of the path it returns are projected and checked, then its edges, coarsely;
+what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
-from cvqmpt_lab.kernels.motion import bisect_motion, distance, refine_and_check
+from cvqmpt_lab.kernels.motion import bisect_motion, distance
 from cvqmpt_lab.kernels.space import project_state, state_valid
 
 UNKNOWN, FREE, BLOCKED = range(3)
@@ -185,15 +185,15 @@ def _block_edge(roadmap, a, b):
 
 
 @kernel
-def search(space, roadmap, most_searches, drift, check, path, ends, states, work):
-    """Write the states of the shortest path found that holds into states (m, n).
+def search(space, roadmap, most_searches, drift, check, path, ends, states):
+    """Write the states of the shortest path found that holds, coarsely, into states (m, n).
 
     Parameters
     ----------
     drift: nodes that projection moves further than this are left out [rad].
     check: otherwise no node and no edge is projected or checked, and the path is one of believed nodes.
     path, ends: (p,) int64, rows of the path's nodes from goal to start, and where each edge's states end.
-    states, work: (m, n).
+    states: (m, n); motions between them are not checked yet.
 
     Returns
     -------
@@ -234,16 +234,17 @@ def search(space, roadmap, most_searches, drift, check, path, ends, states, work
             ends[i] = size
         if not good:
             continue
-        if not check:
-            return size, length, searched + 1
-        written, bad = refine_and_check(space, states, size, work)
-        if bad < 0:
-            for i in range(written):
-                for j in range(n):
-                    states[i, j] = work[i, j]
-            return written, length, searched + 1
-        for i in range(length - 2, -1, -1):
-            if bad + 1 < ends[i]:
-                _block_edge(roadmap, path[i + 1], path[i])
-                break
+        return size, length, searched + 1
     return NO_PATH, length, most_searches
+
+
+@kernel
+def block_state(roadmap, path, ends, length, state):
+    """Block the edge of the path last found that the motion behind one of its states belongs to.
+
+    path, ends, length: as `search` wrote and returned them.
+    """
+    for i in range(length - 2, -1, -1):
+        if state + 1 < ends[i]:
+            _block_edge(roadmap, path[i + 1], path[i])
+            return

@@ -1,11 +1,11 @@
 """Rows that a reviewer asks for: what a sampler without a network, or with the true codes, would do."""
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution, Uniform
+from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult
 from cvqmpt_lab.planning.simplify import simplify
@@ -40,15 +40,15 @@ class StraightLine:
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n)."""
-        began = time.perf_counter()
+        allowance = Allowance(budget, space)
         near = np.argsort(np.linalg.norm(goals - start, axis=1), kind="stable")[: self.goals]
         means = np.concatenate([Path(np.stack([start, goal])).spaced(self.spacing) for goal in goals[near]])
         covariances = np.tile(self.std**2 * np.eye(len(start)), (len(means), 1, 1))
         uniform = Uniform(space.robot.lower, space.robot.upper)
         weights = np.full(len(means), 1.0 / len(means))
         mixture = GaussianMixture(means, covariances, weights, uniform, self.uniform_share, self.name)
-        result = self.core.plan(space, start, goals, mixture, budget.rest(began), rng)
-        return replace(result, seconds=time.perf_counter() - began)
+        result = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
+        return replace(result, seconds=allowance.seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,19 +73,17 @@ class TrueCodes:
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); `sampler` serves the unconstrained part."""
-        began, before = time.perf_counter(), space.counters
+        allowance, before = Allowance(budget, space), space.counters
         free_space = space.unconstrained()
         guide = self.core.plan(free_space, start, goals, sampler, budget, rng)
         if guide.path is None:
             return replace(guide, detail="no unconstrained path")
         path = simplify(free_space, guide.path, rng).path
         mixture = self._mixture(path, space)
-        result = self.core.plan(
-            space, start, goals, mixture, budget.rest(began, guide.counters.iterations), rng
-        )
+        result = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
         return replace(
             result,
-            seconds=time.perf_counter() - began,
+            seconds=allowance.seconds,
             counters=space.counters_since(before),
             vertices=guide.vertices + result.vertices,
         )

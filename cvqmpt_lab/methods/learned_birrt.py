@@ -1,6 +1,5 @@
 """The paper's planners: birrt on the mixture that VQ-MPT predicts, its codes moved to the manifold or not."""
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.methods.observation import CloudOf
+from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, PlanResult, Timings
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -43,7 +43,7 @@ class LearnedBiRRT:
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); the model takes the sampler's place."""
         cloud = self.cloud_of(space.problem)
-        began = time.perf_counter()
+        allowance = Allowance(budget, space)
         near = np.argsort(np.linalg.norm(goals - start, axis=1), kind="stable")[: self.goals]
         prediction = self.predictor.predict(cloud, start, goals[near], rng)
         z, optimized, detail = None, None, f"{len(prediction.codes)} codes"
@@ -55,6 +55,8 @@ class LearnedBiRRT:
                 f", G {result.g_before.mean():.3g} to {result.g_after.mean():.3g}, {result.kept.sum()} kept"
             )
         mixture = self.predictor.mixture(prediction, z)
-        plan = self.core.plan(space, start, goals, mixture, budget.rest(began), rng)
         timings = Timings(prediction.encode_seconds, prediction.predict_seconds, optimized)
-        return replace(plan, seconds=time.perf_counter() - began, timings=timings, detail=detail)
+        if (status := allowance.spent()) is not None:
+            return replace(allowance.ended(status, mixture.name, detail), timings=timings)
+        plan = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
+        return replace(plan, seconds=allowance.seconds, timings=timings, detail=detail)

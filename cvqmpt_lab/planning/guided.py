@@ -1,11 +1,11 @@
 """The honest rival of every learned sampler: plan without the constraint first, then sample around that path."""
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution, Uniform
+from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult
 from cvqmpt_lab.planning.simplify import simplify
@@ -38,20 +38,17 @@ class GuidedBiRRT:
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); `sampler` serves the unconstrained part."""
-        began = time.perf_counter()
-        before = space.counters
+        allowance, before = Allowance(budget, space), space.counters
         free_space = space.unconstrained()
         guide = self.core.plan(free_space, start, goals, sampler, budget, rng)
         if guide.path is None:
             return replace(guide, detail="no unconstrained path")
         uniform = Uniform(space.robot.lower, space.robot.upper)
         mixture = self._around(simplify(free_space, guide.path, rng).path, uniform)
-        result = self.core.plan(
-            space, start, goals, mixture, budget.rest(began, guide.counters.iterations), rng
-        )
+        result = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
         return replace(
             result,
-            seconds=time.perf_counter() - began,
+            seconds=allowance.seconds,
             counters=space.counters_since(before),
             vertices=guide.vertices + result.vertices,
         )

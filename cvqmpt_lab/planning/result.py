@@ -1,6 +1,5 @@
 """What planners take and give back: budgets, statuses, counters, timings, paths."""
 
-import time
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -35,11 +34,6 @@ class Budget:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise InvalidInputError(f"budget {name} must be positive, not {value}")
-
-    def rest(self, began: float, iterations: int = 0) -> "Budget":
-        """What is left of it, at least a sliver, since time.perf_counter() read `began` and after iterations."""
-        seconds = None if self.seconds is None else max(self.seconds - (time.perf_counter() - began), 1e-3)
-        return Budget(seconds, None if self.iterations is None else max(self.iterations - iterations, 1))
 
 
 @dataclass(frozen=True)

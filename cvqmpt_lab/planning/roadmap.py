@@ -1,6 +1,5 @@
 """A dictionary of configurations searched as a roadmap: paths of its own, or a sampling distribution for birrt."""
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,12 +8,14 @@ from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution, Uniform
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels import roadmap as kernels
+from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 LONGEST_PATH = 256  # nodes
 QUEUE = 32  # entries a node
+SEARCHES_AT_ONCE = 16  # between looks at the clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,27 +114,30 @@ class RoadmapQuery:
         self._count, self._left, self.searches = count, settings.searches, 0
         kernels.link_query(self._roadmap, settings.direct, np.empty(links, dtype=np.int32), np.empty(links))
 
-    def next_path(self, check: bool = True, deadline: float | None = None) -> tuple[Path | None, np.ndarray]:
+    def next_path(self, allowance: Allowance, check: bool = True) -> tuple[Path | None, np.ndarray]:
         """The shortest path left, on the manifold and free, and the rows of its nodes; None when there is none.
 
-        check: otherwise nothing is projected or checked. deadline: of time.perf_counter() [s].
+        check: otherwise nothing is projected or checked. Each search counts as an iteration of the allowance.
         """
         path, ends = np.empty(LONGEST_PATH, dtype=np.int64), np.empty(LONGEST_PATH, dtype=np.int64)
         states = np.empty((64 * LONGEST_PATH, self._roadmap.nodes.shape[1]))
-        work = np.empty_like(states)
-        while self._left > 0 and (deadline is None or time.perf_counter() < deadline):
-            most = min(self._left, 16)
+        while self._left > 0 and allowance.spent() is None:
+            most = min(self._left, SEARCHES_AT_ONCE, allowance.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search(
-                self._arrays, self._roadmap, most, self._settings.drift, check, path, ends, states, work
+                self._arrays, self._roadmap, most, self._settings.drift, check, path, ends, states
             )
             self._space.reraise()
             self._left -= searched
+            allowance.count(searched)
             self.searches += searched
             if size != kernels.NO_PATH:
-                rows = path[1 : length - 1][::-1].copy()
-                self._roadmap.factor[rows] *= self._settings.detour
-                return Path(states[:size].copy()), rows
-            if searched < most:
+                found, bad = self._space.checked_path(states[:size]) if check else (Path(states[:size]), -1)
+                if found is not None:
+                    rows = path[1 : length - 1][::-1].copy()
+                    self._roadmap.factor[rows] *= self._settings.detour
+                    return Path(found.states.copy()), rows
+                kernels.block_state(self._roadmap, path, ends, length, bad)
+            elif searched < most:
                 break
         return None, np.empty(0, dtype=np.int64)
 
@@ -172,19 +176,20 @@ class RoadmapSearch:
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); `sampler` gives the uniform share."""
-        began, before = time.perf_counter(), space.counters
+        allowance, before = Allowance(budget, space), space.counters
         query = RoadmapQuery(space, self.dictionary, start, goals, self.settings)
-        path, _ = query.next_path(deadline=None if budget.seconds is None else began + budget.seconds)
+        path, _ = query.next_path(allowance)
         if path is not None:
             return PlanResult(
                 PlanStatus.SOLVED,
                 path,
-                time.perf_counter() - began,
+                allowance.seconds,
                 space.counters_since(before),
                 len(query.free_nodes) + 2,
                 self.name,
-                detail=f"{query.searches} roadmap searches",
             )
+        if (status := allowance.spent()) is not None:
+            return allowance.ended(status, self.name)
         mixture = mixture_around(
             query.configurations(query.free_nodes),
             self.dictionary.covariances[query.free_nodes],
@@ -192,10 +197,10 @@ class RoadmapSearch:
             self.uniform_share,
             f"{self.name}(no path)",
         )
-        result = self.core.plan(space, start, goals, mixture, budget.rest(began), rng)
+        result = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
         return replace(
             result,
-            seconds=time.perf_counter() - began,
+            seconds=allowance.seconds,
             counters=space.counters_since(before),
             vertices=result.vertices + len(query.free_nodes),
             detail=f"no roadmap path after {query.searches} searches",
@@ -230,17 +235,18 @@ class RoadmapGuided:
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n)."""
-        began, before = time.perf_counter(), space.counters
+        allowance, before = Allowance(budget, space), space.counters
         query = RoadmapQuery(space.unconstrained(), self.dictionary, start, goals, self.settings)
-        deadline = None if budget.seconds is None else began + budget.seconds
-        rows = [query.next_path(self.check, deadline)[1] for _ in range(self.paths)]
+        rows = [query.next_path(allowance, self.check)[1] for _ in range(self.paths)]
+        if (status := allowance.spent()) is not None:
+            return allowance.ended(status, self.name)
         chosen = np.unique(np.concatenate(rows))
         nodes, covariances = query.configurations(chosen), self.dictionary.covariances[chosen]
         mixture = mixture_around(nodes, covariances, space, self.uniform_share, self.name)
-        result = self.core.plan(space, start, goals, mixture, budget.rest(began), rng)
+        result = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
         return replace(
             result,
-            seconds=time.perf_counter() - began,
+            seconds=allowance.seconds,
             counters=space.counters_since(before),
             detail=f"{len(chosen)} nodes on {sum(len(r) > 0 for r in rows)} roadmap paths",
         )

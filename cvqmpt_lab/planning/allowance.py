@@ -4,7 +4,7 @@ import math
 import time
 
 from cvqmpt_lab.kernels.space import ITERATIONS
-from cvqmpt_lab.planning.result import Budget, PlanStatus
+from cvqmpt_lab.planning.result import Budget, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 LEAST_SECONDS = 1e-3
@@ -16,7 +16,7 @@ class Allowance:
     def __init__(self, budget: Budget, space: ConstrainedSpace) -> None:
         self.budget, self._space = budget, space
         self._began = time.perf_counter()
-        self._before = space.counters.iterations
+        self._counters = space.counters
 
     @property
     def seconds(self) -> float:
@@ -26,7 +26,7 @@ class Allowance:
     @property
     def iterations(self) -> int:
         """Used so far."""
-        return self._space.counters.iterations - self._before
+        return self._space.counters.iterations - self._counters.iterations
 
     def count(self, iterations: int = 1) -> None:
         """Use iterations that no search counts."""
@@ -48,3 +48,13 @@ class Allowance:
         if iterations is not None:
             iterations = max(min(math.ceil(share * iterations), iterations - self.iterations), 1)
         return Budget(seconds, iterations)
+
+    def rest(self) -> Budget:
+        """What is left of the budget; ask `spent` first."""
+        return self.part(1.0)
+
+    def ended(self, status: PlanStatus, sampler: str, detail: str = "") -> PlanResult:
+        """The result of a run that stops here without a path."""
+        return PlanResult(
+            status, None, self.seconds, self._space.counters_since(self._counters), 1, sampler, detail=detail
+        )
