@@ -129,16 +129,20 @@ def _draw_hands(
     axes.set(xlim=(0, columns), ylim=(rows, 0))
 
 
-def cloud_figure(cloud: np.ndarray, hands: HandPoses | None = None) -> Figure:
-    """A cloud (m, 3) [m] in three dimensions, coloured by height, and hands as sticks."""
-    figure = Figure(figsize=(5.4, 4.6), layout="constrained")
-    axes = figure.add_subplot(projection="3d", computed_zorder=False)
-    x, y, z = cloud.T
-    axes.scatter(x, y, z, c=z, cmap="Greys_r", s=3.0, vmin=-0.5, vmax=2.0, zorder=1)
-    if hands is not None:
-        for start, end in zip(hands.positions, hands.positions + STICK * hands.up, strict=True):
-            axes.plot(*np.stack((start, end)).T, color=AFTER, linewidth=1.0, zorder=2)
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.set_aspect("equal")
-    axes.view_init(elev=25.0, azim=-130.0)
+def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, camera: Camera = CLOSE) -> Figure:
+    """A problem's scene, and beside it its cloud (m, 3) [m] from the same place, coloured by height."""
+    image = still_image(problem, problem.start, (900, 690), camera)
+    figure = Figure(figsize=(10.4, 4.05), layout="constrained")
+    scene, points = axes_of = figure.subplots(1, 2)
+    scene.imshow(image)
+    scene.set(title="scene")
+    rows, columns = image.shape[:2]
+    screen = camera.screen(cloud, (rows, columns))
+    order = np.argsort(-screen[:, 2], kind="stable")  # farther ones first
+    x, y, _ = screen[order].T
+    drawn = points.scatter(x, y, c=cloud[order, 2], cmap="viridis", s=7.0)
+    points.set(title=f"cloud of {len(cloud)} points", xlim=(0, columns), ylim=(rows, 0), aspect="equal")
+    for axes in axes_of:
+        axes.axis("off")
+    figure.colorbar(drawn, ax=axes_of, label="height above the robot's base [m]", shrink=0.95, pad=0.01)
     return figure

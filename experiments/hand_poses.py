@@ -53,7 +53,7 @@ class HandChange:
         """Titled hands for `figures.hand_figure`."""
         return [
             (
-                f"{when}: median tilt {np.degrees(np.median(hands.tilt)):.0f}°, mean $F^TF$ {g.mean():.2g} rad$^2$",
+                f"{when}: median tilt {np.degrees(np.median(hands.tilt)):.0f}°, mean $F^TF$ {g.mean():.2f} rad$^2$",
                 hands,
             )
             for when, hands, g in (

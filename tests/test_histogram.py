@@ -13,10 +13,11 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import save_checkpoint
 from cvqmpt_lab.models.weights_folder import checkpoint_sha256
+from cvqmpt_lab.picture import Camera, still_image
 from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentSettings
 from cvqmpt_lab.prediction.predictor import Predictor
 from experiments.figure_runs import FigureRequest
-from experiments.figures import figure_bytes, histogram_figure
+from experiments.figures import cloud_figure, figure_bytes, histogram_figure
 from experiments.hand_poses import HandPoses, hand_change
 from experiments.histogram import THRESHOLDS, Histogram, MarkovTail, code_changes, value_rows
 from experiments.latent_update import FAR, NEAR, UpdateSettings, squared_residual, update_latents
@@ -163,6 +164,25 @@ def test_hands_by_another_kinematics(update, few_goals):
 def test_figures_repeat_byte_for_byte(update):
     first, again = (figure_bytes(histogram_figure(code_changes(update)), "svg") for _ in range(2))
     assert first == again and b"<svg" in first
+
+
+def test_the_scene_is_drawn_where_its_camera_puts_it(few_goals):
+    camera, size = Camera(), (120, 90)
+    image = still_image(few_goals, few_goals.start, size, camera)
+    other = still_image(few_goals, few_goals.goals[0], size, camera)
+    assert image.shape == (90, 120, 3) and image.dtype == np.uint8
+    rows, columns = np.nonzero((image != other).any(axis=2))
+    for q in (few_goals.start, few_goals.goals[0]):  # the hand is where the pictures differ
+        column, row, _ = camera.screen(few_goals.robot.pose(q)[:3, 3], size[::-1])
+        assert np.hypot(rows - row, columns - column).min() < 2.0
+
+
+def test_the_cloud_is_drawn_beside_its_scene(update):
+    figure = cloud_figure(update.problem, update.cloud)
+    scene, cloud, _ = figure.axes
+    (drawn,) = cloud.collections
+    assert len(drawn.get_offsets()) == len(update.cloud) == 1024 and len(scene.images) == 1
+    assert figure_bytes(figure, "png")[:4] == b"\x89PNG"
 
 
 def test_no_problem_or_no_codes_is_said(few_goals, panda):
