@@ -6,6 +6,9 @@ from functools import partial
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.families import FAMILIES
+from experiments.family_task import PROBLEMS as FAMILY_PROBLEMS
+from experiments.family_task import family_problem
 from experiments.place_task import ENVIRONMENTS, UnsolvableProblem, place_problem
 
 
@@ -39,6 +42,15 @@ SUITES: Mapping[str, Suite] = {
             ENVIRONMENTS,
             partial(place_problem, with_can=True),
             "the same with the carried can as part of the robot",
+        ),
+        *(
+            Suite(
+                f"family-{family}",
+                FAMILY_PROBLEMS,
+                partial(family_problem, family),
+                f"between upright hand poses in held-out scenes of the family {family}",
+            )
+            for family in FAMILIES
         ),
     )
 }

@@ -62,7 +62,7 @@ class RoadmapSettings:
     links: int = 20
     direct: int = 0
     penalty: float = 1.0
-    drift: float = 1.5
+    drift: float = 2.5
     searches: int = 100
     step: float = 0.2
     detour: float = 1.5
