@@ -22,7 +22,9 @@ def add_figure_options(parser: argparse.ArgumentParser) -> None:
 
 def refuse_others(args: argparse.Namespace) -> None:
     """Refuse options that the task would ignore."""
-    wrong = OF_SUITES if args.task in FIGURES else OF_FIGURES
+    wrong: tuple[str, ...] = (*OF_SUITES, "tasks") if args.task in FIGURES else (*OF_FIGURES, "tasks")
+    if args.task == "multi-sequence":
+        wrong = (*OF_FIGURES, "suite", "problems")
     given = [name for name in wrong if getattr(args, name) is not None]
     if given:
         raise InvalidInputError(f"--{given[0]} does not go with {args.task}; leave it out")

@@ -21,6 +21,7 @@ EXAMPLES = (
     "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
     "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
     "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
+    "cvqmpt plan --task-file task.json --planner birrt --save task.rrd",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 
@@ -30,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suite", nargs="?", help=f"suite of the problem: {', '.join(SUITES)}")
     parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
     parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
+    parser.add_argument(
+        "--task-file",
+        type=Path,
+        metavar="T.json",
+        help="a task of several phases instead, planned phase by phase",
+    )
     robot = parser.add_argument_group("another robot for the problem of --problem-file")
     robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="a serial arm of hinges and sliders")
     robot.add_argument("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
@@ -73,6 +80,8 @@ def run(args: argparse.Namespace) -> int:
             writable_file(path)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
+    if args.task_file is not None:
+        return _plan_task(args)
     planner = planner_named(args.planner)
     problem = _problem(args)
     _check_timing(args, problem)
@@ -91,6 +100,18 @@ def run(args: argparse.Namespace) -> int:
         if args.save:
             print(f"recording written to {args.save}; open it with: rerun {args.save}")
     return 0 if solution.solved else 1
+
+
+def _plan_task(args: argparse.Namespace) -> int:
+    """Plan a task of several phases."""
+    from cli.task_options import run_task_file
+
+    given = ("suite", "problem_file", "urdf", "save_path", "trajectory")
+    wrong = next((name for name in given if getattr(args, name) is not None), None)
+    if wrong is not None:
+        option = wrong if wrong == "suite" else f"--{wrong.replace('_', '-')}"
+        raise InvalidInputError(f"{option} does not go with --task-file; leave it out")
+    return run_task_file(args)
 
 
 def _problem(args: argparse.Namespace) -> PlanningProblem:

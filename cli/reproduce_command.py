@@ -18,10 +18,12 @@ EXAMPLES = (
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task --planners birrt,ompl-projected --cutoff 10 --out runs/two",
     "cvqmpt reproduce place-task --suite place-task-with-can --out runs/can",
+    "cvqmpt reproduce multi-sequence --tasks 2 --planners birrt,guided-birrt",
     "cvqmpt reproduce histogram --problem 7 --out runs/histogram",
     "cvqmpt reproduce concept --model runs/stage2/model --out runs/concept",
 )
-TASKS = ("place-task", *FIGURES)
+MULTI_SEQUENCE = "multi-sequence"
+TASKS = ("place-task", MULTI_SEQUENCE, *FIGURES)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help=f"what to reproduce: {', '.join(TASKS)}")
     parser.add_argument("--suite", help=f"variant of its problems: {', '.join(SUITES)} (the task's own)")
     parser.add_argument("--problems", type=positive_int, metavar="N", help="only the first N problems (all)")
+    parser.add_argument(
+        "--tasks", type=positive_int, metavar="N", help="multi-sequence: the first N tasks (all)"
+    )
     parser.add_argument("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
     parser.add_argument(
         "--planners",
@@ -47,6 +52,10 @@ def run(args: argparse.Namespace) -> int:
     if args.task not in TASKS:
         raise UnknownChoiceError("task", args.task, TASKS)
     refuse_others(args)
+    if args.task == MULTI_SEQUENCE:
+        from cli.task_options import run_multi_sequence
+
+        return run_multi_sequence(args)
     if args.task in FIGURES:
         return run_figure(args)
     suite = suite_named(args.suite or args.task)

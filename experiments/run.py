@@ -7,11 +7,12 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.evaluation.metrics import result_row
@@ -98,10 +99,15 @@ def run_task(task: Task) -> ResultRow | UnsolvableProblem:
     return result_row(task.suite, task.planner, task.seed, task.backend, solution, goal_seconds)
 
 
-def _warm_up(suite: str, problem: int, backend: str, planners: tuple[str, ...]) -> None:
-    """Load compiled code and planner libraries in a fresh worker, so that no row pays for it."""
+def end_with_parent() -> None:
+    """Let this worker process end when its parent does, however that ends."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _warm_up(suite: str, problem: int, backend: str, planners: tuple[str, ...]) -> None:
+    """Load compiled code and planner libraries in a fresh worker, so that no row pays for it."""
+    end_with_parent()
     compile_kernels(lambda _: None)
     for planner in planners:
         run_task(Task(suite, problem, planner, 0, Budget(seconds=5.0, iterations=1), backend))
@@ -138,7 +144,8 @@ def run_experiment(
         open_tasks = [task for task in tasks if task.key not in done]
         finished = len(tasks) - len(open_tasks)
         on_progress(finished, len(tasks), None)
-        for outcome in _outcomes(open_tasks, experiment, jobs):
+        setup = (experiment.suite, experiment.problems[0], experiment.backend, experiment.planners)
+        for outcome in outcomes(run_task, open_tasks, jobs, _warm_up, setup):
             finished += 1
             if isinstance(outcome, UnsolvableProblem):
                 unsolvable[outcome.name] = outcome
@@ -152,19 +159,23 @@ def run_experiment(
         return store.rows()
 
 
-def _outcomes(tasks: list[Task], experiment: Experiment, jobs: int):
-    """Outcomes as they come in; a few tasks are in flight at a time, so that an interrupt is quick."""
+def outcomes(
+    run: Callable[[Any], Any], tasks: Sequence[Any], jobs: int, warm_up: Callable, setup: tuple
+) -> Iterator[Any]:
+    """run(task) of every task as they come in; a few are in flight at a time, so that an interrupt is quick.
+
+    warm_up: called with `setup` in every process before its first task.
+    """
     if not tasks:
         return
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
-    setup = (experiment.suite, experiment.problems[0], experiment.backend, experiment.planners)
-    pool = ProcessPoolExecutor(min(jobs, len(tasks)), context, initializer=_warm_up, initargs=setup)
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), context, initializer=warm_up, initargs=setup)
     waiting = iter(tasks)
     flying: set[Future] = set()
     try:
         while True:
             while len(flying) < 2 * jobs and (task := next(waiting, None)) is not None:
-                flying.add(pool.submit(run_task, task))
+                flying.add(pool.submit(run, task))
             if not flying:
                 break
             landed, flying = wait(flying, return_when=FIRST_COMPLETED)

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.evaluation.comparison import RATIOS, REFERENCE, split_metric
 from cvqmpt_lab.evaluation.provenance import ProvenanceFile, write_text_atomic
 from cvqmpt_lab.evaluation.report import (
-    CONFIDENCE,
     EFFORT,
     HEADLINES,
     METHOD_NOTES,
@@ -24,7 +22,9 @@ from cvqmpt_lab.evaluation.report import (
     read_published,
 )
 from cvqmpt_lab.evaluation.results import PARTIAL_FILE, RUNS_FILE, ResultRow, read_rows
-from cvqmpt_lab.evaluation.statistics import UNDEFINED, Interval
+from cvqmpt_lab.evaluation.statistics import UNDEFINED
+from paper_tables.cells import aligned, bounds, exact, latex, number
+from paper_tables.multi_sequence import MULTI_SEQUENCE, render_multi_sequence
 
 PUBLISHED = Path(__file__).resolve().parent / "published"
 CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
@@ -33,6 +33,7 @@ CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "
 def render_directory(directory: Path) -> list[Path]:
     """Write ``place_task.md``, ``.tex`` and ``.csv`` beside ``runs.csv``, one block per suite.
 
+    Rows of the multi-sequence task become ``multi_sequence.md`` and so on instead.
     The paper's numbers stand beside the suites whose name contains "place"; it has none for others.
 
     Raises
@@ -44,6 +45,8 @@ def render_directory(directory: Path) -> list[Path]:
     rows = _rows(directory)
     record = ProvenanceFile(directory).read()
     header = _header(record, len(rows))
+    if {row.suite for row in rows} == {MULTI_SEQUENCE}:
+        return _written(directory, render_multi_sequence(rows, header, PUBLISHED))
     paper = read_published(PUBLISHED / "place_task.csv", "Place Task")
     tables = [
         build_place_table([row for row in rows if row.suite == suite], paper if "place" in suite else ())
@@ -55,6 +58,10 @@ def render_directory(directory: Path) -> list[Path]:
         "place_task.tex": "\n".join([f"% {header}", *map(render_latex, tables)]),
         "place_task.csv": "".join(render_csv(table, header=i == 0) for i, table in enumerate(tables)),
     }
+    return _written(directory, texts)
+
+
+def _written(directory: Path, texts: Mapping[str, str]) -> list[Path]:
     for name, text in texts.items():
         write_text_atomic(directory / name, text)
     return [directory / name for name in texts]
@@ -107,27 +114,9 @@ def _distinct(texts: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(texts))
 
 
-def _number(value: float | None) -> str:
-    """Three significant digits, thousands in full."""
-    if value is None:
-        return "–"
-    if not math.isfinite(value):
-        return "∞"
-    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
-    return f"{value:.{min(max(digits, 0), 6)}f}"
-
-
-def _bounds(interval: Interval) -> str:
-    if interval.low is None or interval.high is None:
-        return ""
-    text = f"{_number(interval.low)}, {_number(interval.high)}"
-    is_range = interval.coverage is not None and interval.coverage < CONFIDENCE
-    return f"({text})" if is_range else f"[{text}]"
-
-
 def _cell(summary: PlannerSummary, metric: str) -> str:
     interval = summary.measured.get(metric, UNDEFINED)
-    return f"{_number(interval.estimate)} {_bounds(interval)}".strip()
+    return f"{number(interval.estimate)} {bounds(interval)}".strip()
 
 
 def _printed(summary: PlannerSummary, metric: str) -> str:
@@ -135,27 +124,17 @@ def _printed(summary: PlannerSummary, metric: str) -> str:
     return value.printed if value else "–"
 
 
-def _aligned(lines: Sequence[Sequence[str]]) -> str:
-    """A markdown table (first line: header) whose columns line up in a terminal."""
-    escaped = [[cell.replace("|", "\\|") for cell in line] for line in lines]
-    widths = [max(3, *(len(line[i]) for line in escaped)) for i in range(len(escaped[0]))]
-    rule = ["-" * width for width in widths]
-    shown = [escaped[0], rule, *escaped[1:]]
-    padded = ([cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in shown)
-    return "\n".join(f"| {' | '.join(line)} |" for line in padded) + "\n"
-
-
 def render_markdown(table: Table) -> str:
     """Planners as rows, metrics as columns, paper | ours; then effort, comparisons, time curve, failures and notes."""
     sections = [
-        f"## {table.suite}: {table.n_problems} problems\n\n" + _aligned(_headline_lines(table)),
+        f"## {table.suite}: {table.n_problems} problems\n\n" + aligned(_headline_lines(table)),
         "### Effort (medians)\n\n"
-        + _aligned(_plain_lines(table, {name: label for name, (label, _) in EFFORT.items()})),
+        + aligned(_plain_lines(table, {name: label for name, (label, _) in EFFORT.items()})),
         "### At the paper's cost of work\n\n"
-        + _aligned(_plain_lines(table, {name: label for name, (label, _) in PAPER_COST.items()})),
-        *([f"### Against {REFERENCE}\n\n" + _aligned(_split_lines(table))] if table.n_easy else []),
+        + aligned(_plain_lines(table, {name: label for name, (label, _) in PAPER_COST.items()})),
+        *([f"### Against {REFERENCE}\n\n" + aligned(_split_lines(table))] if table.n_easy else []),
         "### Solved within a time, % of runs\n\n"
-        + _aligned(_plain_lines(table, {curve_metric(time): f"{time:g} s" for time in table.curve_times})),
+        + aligned(_plain_lines(table, {curve_metric(time): f"{time:g} s" for time in table.curve_times})),
         "### Failures\n\n" + _failures(table),
         "### Notes\n\n" + _bullets(METHOD_NOTES + table.footnotes),
     ]
@@ -216,15 +195,7 @@ def _failures(table: Table) -> str:
         for summary in table.planners
         for status, reason, count in summary.failures
     ]
-    return _aligned(lines) if len(lines) > 1 else "None.\n"
-
-
-_LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
-_LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
-
-
-def _latex(text: str) -> str:
-    return "".join(_LATEX_ESCAPES.get(character, character) for character in text)
+    return aligned(lines) if len(lines) > 1 else "None.\n"
 
 
 def render_latex(table: Table) -> str:
@@ -234,7 +205,7 @@ def render_latex(table: Table) -> str:
         ["", "", *(summary.paper_name or summary.name for summary in planners)],
         ["", "", *(summary.name if summary.paper_name else "" for summary in planners)],
     ]
-    body = [" & ".join(map(_latex, line)) + r" \\" for line in lines]
+    body = [" & ".join(map(latex, line)) + r" \\" for line in lines]
     for headline in HEADLINES:
         body += [r"\midrule", *_latex_block(headline, planners)]
     caption = f"{table.suite}, {table.n_problems} problems: the paper's values and ours. "
@@ -243,7 +214,7 @@ def render_latex(table: Table) -> str:
         [
             r"\begin{table*}[t]",
             r"  \centering\scriptsize\setlength{\tabcolsep}{3pt}",
-            rf"  \caption{{{_latex(caption)}}}",
+            rf"  \caption{{{latex(caption)}}}",
             rf"  \label{{tab:{''.join(c if c.isalnum() else '-' for c in table.suite)}}}",
             rf"  \begin{{tabular}}{{ll{'c' * len(planners)}}}",
             r"    \toprule",
@@ -267,9 +238,9 @@ def _latex_block(headline: Headline, planners: Sequence[PlannerSummary]) -> list
     for name, metric in statistics:
         if metric:
             intervals = [summary.measured.get(metric, UNDEFINED) for summary in planners]
-            lines.append(["", name, *(_number(interval.estimate) for interval in intervals)])
-            lines.append(["", "", *(_bounds(interval) for interval in intervals)])
-    return [" & ".join(map(_latex, line)) + r" \\" for line in lines]
+            lines.append(["", name, *(number(interval.estimate) for interval in intervals)])
+            lines.append(["", "", *(bounds(interval) for interval in intervals)])
+    return [" & ".join(map(latex, line)) + r" \\" for line in lines]
 
 
 def render_csv(table: Table, header: bool = True) -> str:
@@ -292,11 +263,7 @@ def render_csv(table: Table, header: bool = True) -> str:
                 paper = [summary.name, "paper", value.printed, "", "", ""]
                 writer.writerow([table.suite, metric, value.unit, *paper])
         for metric, interval in summary.measured.items():
-            numbers = [_exact(x) for x in (interval.estimate, interval.low, interval.high)]
+            numbers = [exact(x) for x in (interval.estimate, interval.low, interval.high)]
             unit = units.get(metric, "%")
             writer.writerow([table.suite, metric, unit, summary.name, "ours", *numbers, interval.n])
     return buffer.getvalue()
-
-
-def _exact(value: float | None) -> str:
-    return "" if value is None else repr(value)
