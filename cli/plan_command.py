@@ -37,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="T.json",
         help="a task of several phases instead, planned phase by phase",
     )
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="T.png",
+        help="with --task-file: a still picture of the end of each phase",
+    )
     robot = parser.add_argument_group("another robot for the problem of --problem-file")
     robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="a serial arm of hinges and sliders")
     robot.add_argument("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
@@ -75,13 +81,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    for path in (args.save, args.save_path, args.trajectory):
+    for path in (args.save, args.save_path, args.trajectory, args.picture):
         if path is not None:
             writable_file(path)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
     if args.task_file is not None:
         return _plan_task(args)
+    if args.picture is not None:
+        raise InvalidInputError("--picture goes with --task-file; --save shows the solution of a problem")
     planner = planner_named(args.planner)
     problem = _problem(args)
     _check_timing(args, problem)
@@ -106,8 +114,8 @@ def _plan_task(args: argparse.Namespace) -> int:
     """Plan a task of several phases."""
     from cli.task_options import run_task_file
 
-    given = ("suite", "problem_file", "urdf", "save_path", "trajectory")
-    wrong = next((name for name in given if getattr(args, name) is not None), None)
+    given = ("suite", "problem_file", "urdf", "save_path", "trajectory", "view")
+    wrong = next((name for name in given if getattr(args, name)), None)
     if wrong is not None:
         option = wrong if wrong == "suite" else f"--{wrong.replace('_', '-')}"
         raise InvalidInputError(f"{option} does not go with --task-file; leave it out")

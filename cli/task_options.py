@@ -49,6 +49,15 @@ def run_task_file(args: argparse.Namespace) -> int:
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)
     print("\n".join(task_report(solution, args.planner)))
+    if args.save:
+        from cvqmpt_lab.task_viewer import log_task
+
+        log_task(solution, args.save)
+        print(f"recording written to {args.save}; open it with: rerun {args.save}")
+    if args.picture:
+        from cvqmpt_lab.task_picture import draw_task
+
+        print(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
     return 0 if solution.solved else 1
 
 

@@ -36,6 +36,9 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "panel": (0.96, 0.95, 0.92),
     "hood": (0.70, 0.72, 0.75),
     "pedestal": (0.36, 0.38, 0.42),
+    "cracker": (0.80, 0.45, 0.25),
+    "mustard": (0.93, 0.78, 0.22),
+    "can": (0.86, 0.24, 0.20),
 }
 """Colour of the scene objects whose name contains a word; the first that fits counts."""
 OTHER_COLOUR: Colour = (0.87, 0.77, 0.62)
@@ -143,7 +146,7 @@ def draw_solution(
         at = view.rows, view.columns
         share = np.where(view.depth < depth[at] - 1e-3, opacity, opacity_behind)[:, None]
         image[at] += share * (_light(mesh.colours[view.face], view.normals) - image[at])
-    _write_png(Path(path), _eight_bit(image))
+    write_png(Path(path), _eight_bit(image))
 
 
 def still_image(
@@ -411,7 +414,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _write_png(path: Path, image: np.ndarray) -> None:
+def write_png(path: Path, image: np.ndarray) -> None:
     """Write 8-bit colours (rows, columns, 3)."""
     height, width, _ = image.shape
     change = np.diff(image, axis=0, prepend=np.uint8(0))  # PNG filter 2: less the row above, modulo 256

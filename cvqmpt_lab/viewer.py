@@ -1,4 +1,4 @@
-"""Showing a solution in rerun: scene, robot, trees, paths and plots. The only door to rerun.
+"""Showing a solution in rerun: scene, robot, trees, paths and plots. With task_viewer.py the only door to rerun.
 
 Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/trees``, ``world/path``, ``world/robot``
 (moving along the path) and ``plots``. The timeline "path_state" counts the states of the path shown.
@@ -6,7 +6,7 @@ Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/trees``, ``
 
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -55,18 +55,18 @@ def log_solution(solution: Solution, save: Path | None = None, view: bool = Fals
     if save is None and not view:
         raise InvalidInputError("nothing to do with the recording: give save=<file.rrd>, view=True or both")
     if save is not None:
-        _save(solution, Path(save))
+        save_recording(Path(save), _blueprint(), lambda recording: _log_everything(recording, solution))
     if view:
         _view(solution)
 
 
-def _save(solution: Solution, path: Path) -> None:
+def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
     """Log to a file that takes its name only when it is complete."""
     recording = _recording()
     temporary = path.with_name(path.name + ".tmp")
     try:
-        recording.save(temporary, default_blueprint=_blueprint())
-        _log_everything(recording, solution)
+        recording.save(temporary, default_blueprint=blueprint)
+        log(recording)
         recording.flush()
         recording.disconnect()
         temporary.replace(path)
@@ -134,7 +134,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
     """Every object of the scene by its name; "a/b" becomes entity b below a."""
     for item in scene:
         entity = rr.new_entity_path(["world", "scene", *item.name.split("/")])
-        recording.log(entity, _transform(item.T_world_object), _object_archetype(item), static=True)
+        recording.log(entity, _transform(item.T_world_object), object_archetype(item), static=True)
 
 
 def log_ghosts(recording: rr.RecordingStream, problem: PlanningProblem) -> None:
@@ -156,7 +156,7 @@ def log_robot(
         at = rr.new_entity_path([*entity.split("/"), part.link, part.name])
         mesh = hull_mesh(part.vertices)
         recording.log(
-            at, _transform(part.T_link_geometry), _mesh_archetype(mesh, colour, opacity), static=True
+            at, _transform(part.T_link_geometry), mesh_archetype(mesh, colour, opacity), static=True
         )
     link, T_link_hand = robot.end_effector_link
     for item in problem.attachments:
@@ -237,7 +237,7 @@ def _rgba(colour: Colour, opacity: float = 1.0) -> list[int]:
     return [round(255 * part) for part in (*colour, opacity)]
 
 
-def _object_archetype(item: SceneObject) -> rr.AsComponents:
+def object_archetype(item: SceneObject) -> rr.AsComponents:
     """A scene object in its own frame; of a floor, only a square of its top."""
     if isinstance(item.shape, Box) and is_ground(item):
         x, y = np.minimum(0.5 * np.array(item.shape.size[:2]), GROUND_HALF_SIDE)
@@ -264,10 +264,11 @@ def _archetype(shape: Shape, colour: Colour, opacity: float = 1.0) -> rr.AsCompo
         case PointCloud(points, radius):
             return rr.Points3D(points, radii=radius, colors=rgba)
         case ConvexMesh(vertices):
-            return _mesh_archetype(hull_mesh(vertices), colour, opacity)
+            return mesh_archetype(hull_mesh(vertices), colour, opacity)
 
 
-def _mesh_archetype(mesh: Mesh, colour: Colour, opacity: float = 1.0) -> rr.Mesh3D:
+def mesh_archetype(mesh: Mesh, colour: Colour, opacity: float = 1.0) -> rr.Mesh3D:
+    """Triangles in one colour."""
     return rr.Mesh3D(
         vertex_positions=mesh.corners.reshape(-1, 3),
         vertex_normals=mesh.normals.reshape(-1, 3),
