@@ -21,6 +21,9 @@ COMMANDS = {
     "warmup": "compile all kernels ahead of time",
 }
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Small networks are several times slower on many threads, and runs share the cores already."""
+
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0
   cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd
@@ -51,6 +54,9 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     asked = next((word for word in argv if word in COMMANDS), None)
+    if asked != "train":
+        for variable in THREADS:
+            os.environ.setdefault(variable, "1")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(
             name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter

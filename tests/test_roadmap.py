@@ -103,16 +103,6 @@ def test_blind_search_checks_nothing(problem, dictionary):
     np.testing.assert_array_equal(path.states[1:-1], dictionary.nodes[rows])
 
 
-def test_nodes_declared_blocked_are_not_used(problem, dictionary):
-    _, query, allowance = query_of(problem, dictionary)
-    rows = query.next_path(allowance, check=False)[1]
-    free = np.ones(len(dictionary.nodes), dtype=bool)
-    free[rows] = False
-    space = ConstrainedSpace(problem)
-    other = RoadmapQuery(space, dictionary, problem.start, problem.goals, RoadmapSettings(), free)
-    assert not set(other.next_path(allowance, check=False)[1]) & set(rows)
-
-
 def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, dictionary):
     result = plan(problem, RoadmapSearch(dictionary, settings=RoadmapSettings(searches=1, links=1)))
     assert result.path is not None and certify(problem, result.path).valid

@@ -78,9 +78,8 @@ class RoadmapQuery:
         start: np.ndarray,
         goals: np.ndarray,
         settings: RoadmapSettings,
-        free: np.ndarray | None = None,
     ) -> None:
-        """Link start and goals; free (N,) bool: nodes to believe in, all when None."""
+        """Link start and goals to the dictionary."""
         count = len(dictionary.nodes)
         links = min(settings.links, count)
         total = count + 1 + len(goals)
@@ -88,8 +87,6 @@ class RoadmapQuery:
         neighbours[:count, : dictionary.neighbours.shape[1]] = dictionary.neighbours
         verdict = np.full(total, kernels.UNKNOWN, dtype=np.int8)
         verdict[count:] = kernels.FREE
-        if free is not None:
-            verdict[:count][~free] = kernels.BLOCKED
         factor = np.ones(total)
         if settings.penalty > 0 and space.dim > 0:
             constraint = RegionConstraint(space.robot, tuple(space.problem.constraint))

@@ -286,7 +286,7 @@ def _numbers(value: np.ndarray, name: str) -> np.ndarray:
 
 def _checked_cloud(cloud: np.ndarray) -> np.ndarray:
     """The cloud (m, 3) as contiguous float32."""
-    points = _numbers(cloud, "point cloud")
+    points = np.array(_numbers(cloud, "point cloud"))  # torch wants arrays that may be written to
     if points.ndim != 2:
         raise InvalidInputError(f"point cloud of shape {points.shape}; it must be (n, 3) [m]")
     require_point_cloud(torch.from_numpy(points))
