@@ -141,6 +141,8 @@ class _Run:
             return TaskSolution(self.task, before, world)
         phase = self._phase(k)
         goals, seconds, reason = self._goals(k, world)
+        if len(goals) == 0 and isinstance(phase, Move):
+            self.retries = 0  # where the arm comes from makes no difference to that
         attempts: tuple[Solution, ...] = ()
         while True:
             outcome = self._planned(phase, world, goals, seconds, attempts, reason)

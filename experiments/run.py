@@ -18,7 +18,7 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceErr
 from cvqmpt_lab.evaluation.metrics import result_row
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.evaluation.results import ResultRow, RunKey, RunStore
-from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
@@ -30,6 +30,13 @@ from experiments.warmup import compile_kernels
 UNSOLVABLE_FILE = "unsolvable.csv"
 UNSOLVABLE_COLUMNS = ("problem", "reason")
 PR_SET_PDEATHSIG = 1  # Linux: a worker ends with its parent, however that ends
+
+
+def require_planners(names: Sequence[str]) -> None:
+    """Refuse unknown planners without making the others: a process that has used torch must not be forked."""
+    for name in names:
+        if name not in PLANNERS and name not in CONTROLS:
+            raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS])
 
 
 @dataclass(frozen=True)
@@ -48,8 +55,7 @@ class Experiment:
         for index in self.problems:
             if index not in suite.problems:
                 suite.problem(index)
-        for name in self.planners:
-            planner_named(name)
+        require_planners(self.planners)
         if self.backend not in BACKENDS:
             raise UnknownChoiceError("backend", self.backend, BACKENDS)
         for what in ("problems", "planners", "seeds"):

@@ -17,7 +17,7 @@ from cvqmpt_lab.task import PlannedPhase, Task
 from cvqmpt_lab.task_pipeline import solve_task
 from cvqmpt_lab.trajectory.timing import SLOW
 from experiments.multi_sequence import multi_sequence_task
-from experiments.run import end_with_parent, outcomes
+from experiments.run import end_with_parent, outcomes, require_planners
 from experiments.warmup import compile_kernels
 
 SUITE = "multi-sequence"
@@ -34,8 +34,7 @@ class TaskExperiment:
     backend: str = "compiled"
 
     def __post_init__(self) -> None:
-        for name in self.planners:
-            planner_named(name)
+        require_planners(self.planners)
         if self.backend not in BACKENDS:
             raise UnknownChoiceError("backend", self.backend, BACKENDS)
         for what in ("tasks", "planners", "seeds"):
