@@ -31,6 +31,7 @@ GRASPS = {
     Slide: 5,
     Turn: 2,
 }  # ... so many from which the slide or turn has goals
+REPEATED = 1e-8  # [rad] states that OMPL repeats cannot be timed
 ANY_ROBOT = frozenset({"birrt", "guided-birrt", "ompl-projected", "atlas-rrt", "tb-rrt", "straight-line"})
 NEEDS_CONSTRAINT = frozenset({"ompl-projected", "atlas-rrt", "tb-rrt"})
 
@@ -292,9 +293,10 @@ def _checker(problem: PlanningProblem) -> CollisionChecker:
 def _timed(solution: Solution, settings: TimingSettings) -> Trajectory:
     """The certified path in time; its rounded corners are certified too."""
     assert solution.simplified is not None
-    problem = solution.problem
+    problem, states = solution.problem, solution.simplified.path.states
+    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
     return time_path(
-        solution.simplified.path.states,
+        states[np.append(True, steps > REPEATED)],
         problem.robot.joint_limits,
         settings,
         _certifier(problem),
