@@ -21,14 +21,18 @@ EXAMPLES = (
     "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
     "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
     "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
-    "cvqmpt plan --task-file task.json --planner birrt --save task.rrd",
+    "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
+    "cvqmpt plan --task-file task.json --planner guided-birrt",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
+MULTI_SEQUENCE = "multi-sequence"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Problem, planner, budget, and where to show it."""
-    parser.add_argument("suite", nargs="?", help=f"suite of the problem: {', '.join(SUITES)}")
+    parser.add_argument(
+        "suite", nargs="?", help=f"suite of the problem: {', '.join((*SUITES, MULTI_SEQUENCE))}"
+    )
     parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
     parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
     parser.add_argument(
@@ -41,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--picture",
         type=Path,
         metavar="T.png",
-        help="with --task-file: a still picture of the end of each phase",
+        help="of a task: a still picture of the end of each phase",
     )
     robot = parser.add_argument_group("another robot for the problem of --problem-file")
     robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="a serial arm of hinges and sliders")
@@ -86,10 +90,10 @@ def run(args: argparse.Namespace) -> int:
             writable_file(path)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
-    if args.task_file is not None:
+    if args.task_file is not None or args.suite == MULTI_SEQUENCE:
         return _plan_task(args)
     if args.picture is not None:
-        raise InvalidInputError("--picture goes with --task-file; --save shows the solution of a problem")
+        raise InvalidInputError("--picture goes with a task; --save shows the solution of a problem")
     planner = planner_named(args.planner)
     problem = _problem(args)
     _check_timing(args, problem)
@@ -112,14 +116,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _plan_task(args: argparse.Namespace) -> int:
     """Plan a task of several phases."""
-    from cli.task_options import run_task_file
+    from cli.task_options import run_one_task
 
-    given = ("suite", "problem_file", "urdf", "save_path", "trajectory", "view")
+    if args.task_file is not None and args.suite is not None:
+        raise InvalidInputError(f"give --task-file or {args.suite}, one of the two")
+    given = ("problem_file", "urdf", "save_path", "trajectory", "view")
     wrong = next((name for name in given if getattr(args, name)), None)
     if wrong is not None:
-        option = wrong if wrong == "suite" else f"--{wrong.replace('_', '-')}"
-        raise InvalidInputError(f"{option} does not go with --task-file; leave it out")
-    return run_task_file(args)
+        raise InvalidInputError(f"--{wrong.replace('_', '-')} does not go with a task; leave it out")
+    return run_one_task(args)
 
 
 def _problem(args: argparse.Namespace) -> PlanningProblem:

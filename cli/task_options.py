@@ -1,4 +1,4 @@
-"""The multi-sequence task on the command line: `reproduce multi-sequence` and `plan --task-file`."""
+"""Tasks on the command line: `reproduce multi-sequence`, `plan multi-sequence` and `plan --task-file`."""
 
 import argparse
 import sys
@@ -10,7 +10,7 @@ from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.task import Task
 from cvqmpt_lab.task_pipeline import TaskSolution, solve_task
 from cvqmpt_lab.trajectory.timing import SLOW, TimingSettings
-from experiments.multi_sequence import TASKS
+from experiments.multi_sequence import TASKS, multi_sequence_task
 from experiments.run import default_jobs
 from experiments.task_run import SUITE, TaskExperiment, run_tasks
 from experiments.warmup import compile_kernels
@@ -32,18 +32,34 @@ def run_multi_sequence(args: argparse.Namespace) -> int:
     out = args.out or Path("runs") / SUITE
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     jobs = args.jobs or default_jobs()
+    files = _write_task_files(out, experiment.tasks)
     rows = run_tasks(experiment, out, jobs, ["cvqmpt", *sys.argv[1:]], ProgressBar(SUITE))
     written = render_directory(out)
     print(next(path for path in written if path.suffix == ".md").read_text())
     print(f"{len(rows)} rows in {out / 'runs.csv'}")
     for path in written:
         print(f"table in {path}")
+    print(
+        f"tasks in {files}; plan and show one with: cvqmpt plan --task-file {files / '0.json'} --picture task.png"
+    )
     return 0
 
 
-def run_task_file(args: argparse.Namespace) -> int:
-    """Plan the task of --task-file; exit code 1 when a phase has no certified path."""
-    task = Task.load(args.task_file)
+def _write_task_files(out: Path, tasks: tuple[int, ...]) -> Path:
+    """The folder with a file for each task."""
+    folder = out / "tasks"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(f"cannot make {folder}: {error.strerror}; use another --out") from error
+    for number in tasks:
+        multi_sequence_task(number).save(folder / f"{number}.json")
+    return folder
+
+
+def run_one_task(args: argparse.Namespace) -> int:
+    """Plan the task of --task-file, or one of the ten; exit code 1 when a phase has no certified path."""
+    task = Task.load(args.task_file) if args.task_file else multi_sequence_task(args.problem)
     planner = planner_named(args.planner)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)

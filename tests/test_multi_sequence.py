@@ -341,7 +341,7 @@ def test_command_line(task, tmp_path, capsys):
     out = capsys.readouterr().out
     assert all(name in out for name in PHASES) and "solved" in out
     assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
-    assert "suite does not go with --task-file" in capsys.readouterr().err
+    assert "give --task-file or place-task" in capsys.readouterr().err
     assert main(["reproduce", "multi-sequence", "--problems", "3"]) == 2
     assert "--problems does not go with multi-sequence" in capsys.readouterr().err
 
@@ -354,4 +354,5 @@ def test_reproduce_continues_where_it_was(tmp_path, capsys):
     first = (tmp_path / "runs.csv").read_bytes()
     assert main(command) == 0
     assert (tmp_path / "runs.csv").read_bytes() == first
+    assert Task.load(tmp_path / "tasks" / "0.json").to_dict() == multi_sequence_task(0).to_dict()
     assert "By phase" in (tmp_path / "multi_sequence.md").read_text()
