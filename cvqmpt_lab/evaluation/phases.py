@@ -278,9 +278,9 @@ def _in_words(statement: Statement, ours: Interval) -> str:
     if ours.estimate is None or ours.low is None or ours.high is None:
         return "not judged: too few tasks that both solved"
     if ours.low >= statement.reduction:
-        return "confirmed, and exceeded" if ours.low > statement.reduction else "confirmed"
+        return "confirmed"
     if ours.high >= statement.reduction:
-        return "compatible"
+        return "compatible: the interval contains it"
     if ours.low > 0.0:
         return "less than stated"
     return "not confirmed: slower" if ours.high < 0.0 else "not confirmed: no clear difference"
