@@ -57,6 +57,10 @@ CASES: tuple[Case, ...] = (
     *_cases("ompl-projected", (2, 5), 20_000),
     *_cases("atlas-rrt", (8, 10), 20_000),
     *_cases("tb-rrt", (8, 10), 20_000),
+    *_cases("mpnet", (2, 5), 20_000),
+    *_cases("cvq-mpt", (2, 5), 20_000),
+    *_cases("opt-cvq-mpt", (2, 5), 20_000),
+    *_cases("roadmap-cvq", (2, 5, 8), 20_000),
 )
 
 

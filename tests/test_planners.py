@@ -46,13 +46,12 @@ def test_every_planner_solves_a_place_problem(problem, name):
     plan(problem, name, Budget(iterations=1))  # compiles what is not cached
     solution = solve(problem, planner_named(name), Budget(seconds=20.0), seed=1)
     result = solution.plan
-    assert result.seconds < 25.0 and result.vertices > 0 and result.detail == ""
-    assert min(astuple(result.counters)) > 0
-    if result.path is None:
+    assert result.seconds < 25.0 and result.vertices > 0 and "exact checks" not in result.detail
+    if result.path is None:  # charts are no projections, and may be all that a search had time for
         assert name in LENIENT and result.status is PlanStatus.TIMEOUT
         assert solution.simplified is None and solution.certificate is None and not solution.solved
         return
-    assert result.status is PlanStatus.SOLVED
+    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)) > 0
     assert solution.certificate.reasons == () and solution.solved
     np.testing.assert_array_equal(result.path.states[0], problem.start)
     assert (problem.goals == result.path.states[-1]).all(axis=1).any()

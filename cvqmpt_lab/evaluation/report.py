@@ -34,7 +34,6 @@ from cvqmpt_lab.evaluation.statistics import (
 )
 
 BASELINE = "ompl-projected"
-NEEDS_WEIGHTS = frozenset({"mpnet", "cvq-mpt", "opt-cvq-mpt"})
 CONFIDENCE = 0.95
 CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 PUBLISHED_COLUMNS = ("table", "environment", "planner", "paper_name", "metric", "value", "unit", "note")
@@ -314,12 +313,8 @@ def _footnotes(
             "ratios look better on hard problems, and worse on easy ones, than several seeds would show."
         )
     missing = [summary.name for summary in summaries if summary.n_runs == 0]
-    untrained = [name for name in missing if name in NEEDS_WEIGHTS]
-    if untrained:
-        notes.append(f"{', '.join(untrained)}: needs trained weights, which this version does not ship.")
-    not_run = [name for name in missing if name not in NEEDS_WEIGHTS]
-    if not_run:
-        notes.append(f"{', '.join(not_run)}: not run here.")
+    if missing:
+        notes.append(f"{', '.join(missing)}: not run here.")
     return tuple(notes)
 
 

@@ -1,0 +1,29 @@
+"""Data, both stages of training and a prediction, through the command line, on the smoke profile."""
+
+import numpy as np
+
+from cli.main import main
+from cvqmpt_lab.models.checkpoint import load_checkpoint
+from cvqmpt_lab.prediction.configurations import robot_signature
+from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.robot.loading import panda
+
+
+def test_from_scenes_to_a_prediction(tmp_path):
+    data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
+    few = ["--scenes", "24", "--paths-per-scene", "4", "--seed", "9"]  # two validation scenes
+    assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data)]) == 0
+    common = ["--profile", "smoke", "--data", str(data), "--device", "cpu"]
+    assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
+    assert main(["train", "stage2", *common, "--dictionary", str(stage1), "--out", str(stage2)]) == 0
+
+    robot = panda()
+    checkpoint = load_checkpoint(stage2 / "model", robot_signature(robot))
+    predictor = Predictor(checkpoint, robot, PredictorSettings(uniform_share=0.2))
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform(-0.8, 0.8, (400, 3))
+    start, goal = robot.random_configurations(rng, 2)
+    prediction = predictor.predict(cloud, start, goal[None], rng)
+    mixture = predictor.mixture(prediction)
+    assert len(prediction.sequences[0]) == 8
+    assert np.isfinite(mixture.sample(rng, 100)).all()
