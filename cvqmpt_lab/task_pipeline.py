@@ -27,10 +27,7 @@ POSES = {Move: 100, Slide: 3, Turn: 25}  # of the end effector that are tried fo
 GOALS_AHEAD = {Slide: 1, Turn: 5}  # a grasp that lets fewer be reached stands at a limit and may get stuck
 POSES_AHEAD = {Slide: 1, Turn: 8}
 FIRST_GOALS = {Slide: 8, Turn: 20}  # sought by the phase before, of which it needs ...
-GRASPS = {
-    Slide: 5,
-    Turn: 2,
-}  # ... so many from which the slide or turn has goals
+GRASPS = {Slide: 5, Turn: 2}  # ... so many from which the slide or turn has goals
 REPEATED = 1e-8  # [rad] states that OMPL repeats cannot be timed
 ANY_ROBOT = frozenset({"birrt", "guided-birrt", "ompl-projected", "atlas-rrt", "tb-rrt", "straight-line"})
 NEEDS_CONSTRAINT = frozenset({"ompl-projected", "atlas-rrt", "tb-rrt"})
@@ -42,8 +39,8 @@ class PhaseOutcome:
 
     Attributes
     ----------
-    world: before it. attempts: solutions one after another, the last one counts; earlier ones led to a
-        later phase without solution. trajectory: of the last one, when it is certified.
+    world: before it. attempts: solutions one after another, the last one counts; after earlier ones the task
+        went back to another grasp. trajectory: of the last one, when it is certified.
     instead: why another planner than the one asked for was used, or "".
     reason: why the phase failed, or "".
     """
@@ -128,6 +125,7 @@ class _Run:
     retries: int = RETRIES
     runs: int = 0
     deepest: tuple[PhaseOutcome, ...] = field(default=())
+    attempts: dict[int, tuple[Solution, ...]] = field(default_factory=dict)  # by phase, whatever came of them
 
     def solve(self) -> TaskSolution:
         found = self._from(0, World.before(self.task), ())
@@ -144,10 +142,10 @@ class _Run:
         goals, seconds, reason = self._goals(k, world)
         if len(goals) == 0 and isinstance(phase, Move):
             self.retries = 0  # where the arm comes from makes no difference to that
-        attempts: tuple[Solution, ...] = ()
+        ends = 0
         while True:
-            outcome = self._planned(phase, world, goals, seconds, attempts, reason)
-            attempts, seconds = outcome.attempts, 0.0
+            outcome = self._planned(phase, world, goals, seconds, self.attempts.get(k, ()), reason)
+            self.attempts[k], seconds = outcome.attempts, 0.0
             if not outcome.solved:
                 if len(before) >= len(self.deepest):
                     self.deepest = (*before, outcome)
@@ -156,9 +154,9 @@ class _Run:
             found = self._from(k + 1, world.moved(end), (*before, outcome))
             if found is not None or self.retries == 0:
                 return found
-            self.retries -= 1
+            self.retries, ends = self.retries - 1, ends + 1
             goals = goals[np.abs(goals - end).max(axis=1) > 1e-6]
-            reason = f"a later phase failed from each of the {len(attempts)} ends reached"
+            reason = f"a later phase failed from each of the {ends} ends reached"
 
     def _to_planned(self, k: int, world: World) -> tuple[int, World]:
         """The next planned phase from k on, and the world before it."""
