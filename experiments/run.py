@@ -143,7 +143,8 @@ def run_experiment(
         for problem in experiment.problems
         for planner in experiment.planners
     ]
-    record = provenance(list(command), asdict(experiment), list(experiment.seeds), threads=jobs)
+    weights = model_hash(experiment.planners)
+    record = provenance(list(command), asdict(experiment), list(experiment.seeds), weights, threads=jobs)
     with RunStore.open(out, experiment.settings(), record) as store:
         unsolvable = _read_unsolvable(out)
         done = store.done_keys()

@@ -12,10 +12,12 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.evaluation.results import PARTIAL_FILE, RUNS_FILE, read_rows, sorted_rows
+from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.prediction.shipped import shipped_hash
 from experiments import run as runner
 from experiments.place_task import UnsolvableProblem
-from experiments.run import Experiment, run_experiment
+from experiments.run import Experiment, model_hash, run_experiment
 from experiments.warmup import compile_kernels
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -237,3 +239,10 @@ def test_an_interrupted_run_leaves_no_worker_behind(started):
     while processes_of_session(started.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert processes_of_session(started.pid) == []
+
+
+def test_rows_made_with_weights_name_them():
+    assert model_hash(("birrt", "tb-rrt")) is None
+    assert model_hash(("birrt", "roadmap-cvq")) == shipped_hash()
+    assert len(shipped_hash()) == 64
+    assert {*PLANNERS, *CONTROLS} > WITHOUT_WEIGHTS

@@ -70,6 +70,18 @@ CONTROLS: Mapping[str, Callable[[], Planner]] = {
     "opt-20-steps": _updated("opt-20-steps", 20),
 }
 
+WITHOUT_WEIGHTS = frozenset(
+    {
+        "birrt",
+        "guided-birrt",
+        "ompl-projected",
+        "atlas-rrt",
+        "tb-rrt",
+        "straight-line",
+        "straight-line-only",
+    }
+)
+
 
 def planner_named(name: str) -> Planner:
     """The planner or control of that name; UnknownChoiceError lists the names."""

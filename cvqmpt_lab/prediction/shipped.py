@@ -1,5 +1,6 @@
 """The weights that come with the package, in folders of ``cvqmpt_lab/weights``."""
 
+import hashlib
 from pathlib import Path
 
 import cvqmpt_lab
@@ -44,3 +45,12 @@ def load_shipped(robot: Robot, weights: Path = WEIGHTS) -> Checkpoint:
 def load_shipped_mpnet(robot: Robot, weights: Path = WEIGHTS) -> MPNetCheckpoint:
     """The shipped MPNet, likewise."""
     return load_mpnet(shipped_model_folder("mpnet", weights), robot_signature(robot))
+
+
+def shipped_hash(weights: Path = WEIGHTS) -> str:
+    """One sha256 of all shipped weights, for the provenance of rows made with them."""
+    digest = hashlib.sha256()
+    for name in sorted(SHIPPED):
+        for path in sorted(shipped_model_folder(name, weights).glob("*.safetensors")):
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
