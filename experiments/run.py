@@ -18,7 +18,7 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceErr
 from cvqmpt_lab.evaluation.metrics import result_row
 from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.evaluation.results import ResultRow, RunKey, RunStore
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, planner_named
+from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, WITHOUT_WEIGHTS, planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
@@ -164,6 +164,15 @@ def run_experiment(
         _write_unsolvable(out, unsolvable)
         store.finish()
         return store.rows()
+
+
+def model_hash(planners: Sequence[str]) -> str | None:
+    """Hash of the shipped weights if any of the planners uses them."""
+    if set(planners) <= WITHOUT_WEIGHTS:
+        return None
+    from cvqmpt_lab.prediction.shipped import shipped_hash  # torch takes 2 s to import
+
+    return shipped_hash()
 
 
 def outcomes(
