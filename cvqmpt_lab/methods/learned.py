@@ -5,12 +5,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.methods.controls import TrueCodes
 from cvqmpt_lab.methods.learned_birrt import LearnedBiRRT
 from cvqmpt_lab.methods.mpnet_planner import MPNetPlanner
 from cvqmpt_lab.methods.observation import CloudOf, Observer
 from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.planning.roadmap import Dictionary, RoadmapGuided, RoadmapSearch
+from cvqmpt_lab.prediction.collision_head import free_probability
 from cvqmpt_lab.prediction.dictionary_gaussians import dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
@@ -20,6 +22,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
+BELIEVED = 0.5  # P(free) below which a node is left out
 CHOSEN = {"decoding": "beam", "std_floor": 0.8, "uniform_share": 0.5}
 """Predictor settings of the planners, chosen on the tuning environments: as predicted, the mixture is too narrow."""
 WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
@@ -81,9 +84,31 @@ def roadmap_cvq() -> RoadmapSearch:
     return RoadmapSearch(_dictionary())
 
 
-def roadmap_sampler(name: str, check: bool) -> RoadmapGuided:
-    """Unconstrained roadmap paths as a sampling distribution; without checks, the blind twin."""
-    return RoadmapGuided(_dictionary(), name, check)
+def roadmap_sampler(name: str, check: bool, head: bool = False, update: bool = False) -> RoadmapGuided:
+    """Unconstrained roadmap paths as a sampling distribution; without checks, the blind twin.
+
+    head: nodes that the model believes blocked are left out. update: the codes are moved to the manifold.
+    """
+    blocked, move = _believed_blocked if head else None, _moved if update else None
+    return RoadmapGuided(_dictionary(), name, check, blocked=blocked, move=move)
+
+
+def _believed_blocked(problem: PlanningProblem) -> np.ndarray:
+    """Nodes (N,) of the dictionary that the collision head calls blocked, from the cloud."""
+    return free_probability(_checkpoint(), panda(), _observer()(problem), _dictionary().nodes) < BELIEVED
+
+
+def _moved(
+    problem: PlanningProblem, codes: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gaussians of codes (r,) after the latent update towards the problem's constraint."""
+    predictor = _predictor(PredictorSettings())
+    z = predictor.checkpoint.dictionary.quantizer.embedding.weight.detach().numpy()[codes]
+    constraint = RegionConstraint(problem.robot, tuple(problem.constraint))
+    moved = LatentOptimizer(predictor).optimize_codes(z, None, constraint, rng)
+    gaussians, model = predictor.decoder.decode(moved.z, None), predictor.configurations
+    means = model.radians(gaussians.mean.astype(float))
+    return means, gaussians.covariance * np.outer(model.range, model.range)
 
 
 @lru_cache(maxsize=1)

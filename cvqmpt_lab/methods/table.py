@@ -60,6 +60,8 @@ CONTROLS: Mapping[str, Callable[[], Planner]] = {
     "straight-line-only": partial(_straight_line, "straight-line-only", 0.0),
     "roadmap-sampler": _learned("roadmap_sampler", "roadmap-sampler", check=True),
     "roadmap-blind": _learned("roadmap_sampler", "roadmap-blind", check=False),
+    "roadmap-head": _learned("roadmap_sampler", "roadmap-head", check=False, head=True),
+    "roadmap-update": _learned("roadmap_sampler", "roadmap-update", check=True, update=True),
     "true-codes": _learned("true_codes"),
     "cvq-wrong-cloud": _learned("wrong_cloud", "cvq-wrong-cloud"),
     "cvq-union": _learned("learned_birrt", "cvq-union", decoding="sampled"),

@@ -1,5 +1,6 @@
 """A dictionary of configurations searched as a roadmap: paths of its own, or a sampling distribution for birrt."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +13,9 @@ from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
 
+Gaussians = tuple[np.ndarray, np.ndarray]
 LONGEST_PATH = 256  # nodes
 QUEUE = 32  # entries a node
 SEARCHES_AT_ONCE = 16  # between looks at the clock
@@ -78,8 +81,9 @@ class RoadmapQuery:
         start: np.ndarray,
         goals: np.ndarray,
         settings: RoadmapSettings,
+        blocked: np.ndarray | None = None,
     ) -> None:
-        """Link start and goals to the dictionary."""
+        """Link start and goals to the dictionary; blocked (N,) bool: nodes to leave out."""
         count = len(dictionary.nodes)
         links = min(settings.links, count)
         total = count + 1 + len(goals)
@@ -87,6 +91,8 @@ class RoadmapQuery:
         neighbours[:count, : dictionary.neighbours.shape[1]] = dictionary.neighbours
         verdict = np.full(total, kernels.UNKNOWN, dtype=np.int8)
         verdict[count:] = kernels.FREE
+        if blocked is not None:
+            verdict[:count][blocked] = kernels.BLOCKED
         factor = np.ones(total)
         if settings.penalty > 0 and space.dim > 0:
             constraint = RegionConstraint(space.robot, tuple(space.problem.constraint))
@@ -212,6 +218,8 @@ class RoadmapGuided:
     ----------
     check: nodes and edges are checked exactly when a path needs them; otherwise the roadmap is blind.
     paths: number of diverse paths. uniform_share: samples drawn anywhere instead.
+    blocked: tells which nodes (N,) to leave out of a problem's roadmap, without checking them.
+    move: gives other Gaussians, means (r, n) and covariances (r, n, n), for nodes (r,) of a problem.
     """
 
     dictionary: Dictionary
@@ -219,6 +227,8 @@ class RoadmapGuided:
     check: bool = True
     paths: int = 6
     uniform_share: float = 0.15
+    blocked: Callable[[PlanningProblem], np.ndarray] | None = None
+    move: Callable[[PlanningProblem, np.ndarray, np.random.Generator], Gaussians] | None = None
     settings: RoadmapSettings = field(default_factory=lambda: RoadmapSettings(penalty=0.0))
     core: BiRRT = field(default_factory=BiRRT)
 
@@ -233,12 +243,15 @@ class RoadmapGuided:
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n)."""
         allowance, before = Allowance(budget, space), space.counters
-        query = RoadmapQuery(space.unconstrained(), self.dictionary, start, goals, self.settings)
+        blocked = self.blocked(space.problem) if self.blocked else None
+        query = RoadmapQuery(space.unconstrained(), self.dictionary, start, goals, self.settings, blocked)
         rows = [query.next_path(allowance, self.check)[1] for _ in range(self.paths)]
         if (status := allowance.spent()) is not None:
             return allowance.ended(status, self.name)
         chosen = np.unique(np.concatenate(rows))
         nodes, covariances = query.configurations(chosen), self.dictionary.covariances[chosen]
+        if self.move and len(chosen):
+            nodes, covariances = self.move(space.problem, chosen, rng)
         mixture = mixture_around(nodes, covariances, space, self.uniform_share, self.name)
         result = self.core.plan(space, start, goals, mixture, allowance.rest(), rng)
         return replace(

@@ -95,9 +95,14 @@ class LatentOptimizer:
 
     def optimize(self, prediction: Prediction, constraint: Constraint, rng: np.random.Generator) -> Optimized:
         """Move the codes of a prediction towards a constraint; hand `z` of the result to `Predictor.mixture`."""
+        return self.optimize_codes(prediction.z, prediction.refinement, constraint, rng)
+
+    def optimize_codes(
+        self, z0: np.ndarray, refinement: Refinement | None, constraint: Constraint, rng: np.random.Generator
+    ) -> Optimized:
+        """Move codes z0 (c, code_dim), wherever they come from."""
         began = time.perf_counter()
-        z0, refinement, settings = prediction.z, prediction.refinement, self.settings
-        n = prediction.means.shape[1]
+        settings, n = self.settings, len(self._objective.range)
         noise = rng.standard_normal((settings.samples, n))
         fresh = rng.standard_normal((settings.check_samples, n))
         problem = _Problem(self._objective, constraint, z0, refinement, noise, settings.trust)
