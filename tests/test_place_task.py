@@ -5,10 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.kernels.motion import motion_free
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
+from experiments.family_task import family_problem
 from experiments.place_task import (
     ENVIRONMENTS,
     GOALS,
@@ -93,11 +96,21 @@ def test_problems_repeat(problem):
 
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
-    assert len(suite_named(suite).problems) == 150
-    assert suite_named(suite).problem(149).name == "149"
-    for index in (-1, 150, 1000):
-        with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to 149"):
+    last = len(suite_named(suite).problems) - 1
+    assert last == (49 if suite.startswith("family-") else 149)
+    assert suite_named(suite).problem(last).name == str(last)
+    for index in (-1, last + 1, 1000):
+        with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"):
             suite_named(suite).problem(index)
+
+
+@pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
+def test_family_problems_start_and_end_upright_and_free(family):
+    for number in (0, 1001):
+        problem = family_problem(family, number)
+        check_problem(problem)
+        space = ConstrainedSpace(problem)
+        assert not motion_free(space.arrays, problem.start, problem.goals[0])
 
 
 def test_unknown_suites_are_listed():
@@ -120,7 +133,7 @@ def test_every_environment_has_a_problem(with_can):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suite", SUITES)
+@pytest.mark.parametrize("suite", ["place-task", "place-task-with-can"])
 def test_every_environment_is_solved(suite):
     """By birrt within 20 000 iterations; every path certified, every start and goal checked by `solve`."""
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
