@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cli.options import positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
-from experiments.bench import BENCHES
+from experiments.bench.kernels import BENCHES
 from experiments.warmup import compile_kernels
 
 EXAMPLES = (

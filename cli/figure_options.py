@@ -32,8 +32,8 @@ def refuse_others(args: argparse.Namespace) -> None:
 
 def run_figure(args: argparse.Namespace) -> int:
     """Make the figure and say what it shows."""
-    from experiments.figure_runs import FigureRequest, reproduce_figure, summary
-    from experiments.latent_update import UpdateSettings
+    from experiments.figures.latent_update import UpdateSettings
+    from experiments.figures.run_figure import FigureRequest, reproduce_figure, summary
 
     request = FigureRequest(
         figure=args.task,

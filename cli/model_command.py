@@ -6,9 +6,9 @@ from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import ARCHITECTURE, load_checkpoint, save_checkpoint
-from cvqmpt_lab.models.mpnet import ARCHITECTURE as MPNET_ARCHITECTURE
-from cvqmpt_lab.models.mpnet import load_mpnet
-from cvqmpt_lab.models.published_checkpoint import import_published
+from cvqmpt_lab.models.mpnet.network import ARCHITECTURE as MPNET_ARCHITECTURE
+from cvqmpt_lab.models.mpnet.network import load_mpnet
+from cvqmpt_lab.models.published.checkpoint_import import import_published
 from cvqmpt_lab.models.weights_folder import (
     CONFIG_FILE,
     Description,

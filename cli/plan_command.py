@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 
 from cli.options import add_budget, budget, writable_file
+from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.evaluation.certificate import certify
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Path as JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.place_task import UnsolvableProblem
-from experiments.suites import SUITES, suite_named
+from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.table import SUITES, suite_named
 from experiments.warmup import compile_kernels
 
 EXAMPLES = (
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     if args.trajectory:
         print(_write_trajectory(args, solution))
     if args.save or args.view:
-        from cvqmpt_lab.viewer import log_solution
+        from cvqmpt_lab.show.recording import log_solution
 
         log_solution(solution, save=args.save, view=args.view)
         if args.save:

@@ -6,8 +6,8 @@ from pathlib import Path
 from cli.options import ProgressBar, positive_int
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import with_sampled_goals
-from experiments.place_task import UnsolvableProblem
-from experiments.suites import SUITES, suite_named
+from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.table import SUITES, suite_named
 
 EXAMPLES = (
     "cvqmpt problems list place-task --problems 5",

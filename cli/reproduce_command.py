@@ -7,10 +7,10 @@ from pathlib import Path
 from cli.figure_options import FIGURES, add_figure_options, refuse_others, run_figure
 from cli.options import ProgressBar, add_budget, budget, planner_list, positive_int
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.evaluation.results import ResultRow
 from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.results.store import ResultRow
 from experiments.run import Experiment, default_jobs, run_experiment
-from experiments.suites import SUITES, suite_named
+from experiments.suites.table import SUITES, suite_named
 from experiments.warmup import compile_kernels
 from paper_tables.render import render_directory
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from cli.options import ProgressBar, budget
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
-from cvqmpt_lab.task import Task
-from cvqmpt_lab.task_pipeline import TaskSolution, solve_task
+from cvqmpt_lab.tasks.solve_task import TaskSolution, solve_task
+from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import SLOW, TimingSettings
-from experiments.multi_sequence import TASKS, multi_sequence_task
 from experiments.run import default_jobs
+from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.task_run import SUITE, TaskExperiment, run_tasks
 from experiments.warmup import compile_kernels
 from paper_tables.render import render_directory
@@ -66,12 +66,12 @@ def run_one_task(args: argparse.Namespace) -> int:
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)
     print("\n".join(task_report(solution, args.planner)))
     if args.save:
-        from cvqmpt_lab.task_viewer import log_task
+        from cvqmpt_lab.show.task_recording import log_task
 
         log_task(solution, args.save)
         print(f"recording written to {args.save}; open it with: rerun {args.save}")
     if args.picture:
-        from cvqmpt_lab.task_picture import draw_task
+        from cvqmpt_lab.show.task_still import draw_task
 
         print(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
     return 0 if solution.solved else 1

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.distributions import SamplingDistribution, Uniform
-from cvqmpt_lab.evaluation.certificate import Certificate, certify
 from cvqmpt_lab.planning.planner import Planner
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.planning.simplify import Simplified, SimplifySettings, simplify

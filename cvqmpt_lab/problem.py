@@ -29,7 +29,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError, InvalidProblemErro
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.collision import CollisionChecker
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene
 
 SCHEMA = "cvqmpt-problem/1"

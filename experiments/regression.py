@@ -13,13 +13,13 @@ from functools import lru_cache
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.evaluation.metrics import result_row
-from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.place_task import place_problem
+from cvqmpt_lab.results.provenance import provenance, write_text_atomic
+from experiments.rows import result_row
+from experiments.suites.place_task import place_problem
 from paper_tables.render import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"

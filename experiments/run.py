@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
-from cvqmpt_lab.evaluation.metrics import result_row
-from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
-from cvqmpt_lab.evaluation.results import ResultRow, RunKey, RunStore
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, WITHOUT_WEIGHTS, planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.place_task import UnsolvableProblem
-from experiments.suites import suite_named
+from cvqmpt_lab.results.provenance import provenance, write_text_atomic
+from cvqmpt_lab.results.store import ResultRow, RunKey, RunStore
+from experiments.rows import result_row
+from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.table import suite_named
 from experiments.warmup import compile_kernels
 
 UNSOLVABLE_FILE = "unsolvable.csv"

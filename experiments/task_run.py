@@ -6,19 +6,19 @@ from functools import lru_cache
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.evaluation.phases import split_problem
-from cvqmpt_lab.evaluation.provenance import provenance
-from cvqmpt_lab.evaluation.results import ResultRow, RunStore
-from cvqmpt_lab.evaluation.task_metrics import phase_rows
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
-from cvqmpt_lab.task import PlannedPhase, Task
-from cvqmpt_lab.task_pipeline import solve_task
+from cvqmpt_lab.results.provenance import provenance
+from cvqmpt_lab.results.store import ResultRow, RunStore
+from cvqmpt_lab.tasks.solve_task import solve_task
+from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.trajectory.timing import SLOW
-from experiments.multi_sequence import multi_sequence_task
 from experiments.run import end_with_parent, outcomes, require_planners
+from experiments.suites.multi_sequence import multi_sequence_task
+from experiments.task_rows import phase_rows
 from experiments.warmup import compile_kernels
+from paper_tables.phases_summary import split_problem
 
 SUITE = "multi-sequence"
 

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.evaluation.provenance import provenance, write_text_atomic
-from cvqmpt_lab.kernels.kinematics import link_poses
-from cvqmpt_lab.kernels.motion import motion_free
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.planning.result import Path as Motion
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.provenance import provenance, write_text_atomic
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene

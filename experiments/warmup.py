@@ -12,7 +12,7 @@ from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.place_task import place_problem
+from experiments.suites.place_task import place_problem
 
 
 def compile_kernels(announce: Callable[[str], None]) -> float:

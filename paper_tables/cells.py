@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from cvqmpt_lab.evaluation.report import CONFIDENCE
-from cvqmpt_lab.evaluation.statistics import Interval
+from cvqmpt_lab.results.statistics import Interval
+from paper_tables.place_task_summary import CONFIDENCE
 
 _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}

@@ -8,8 +8,8 @@ from itertools import zip_longest
 from pathlib import Path
 
 from cvqmpt_lab.errors import CvqmptError
-from cvqmpt_lab.evaluation.provenance import PROVENANCE_FILE
-from cvqmpt_lab.evaluation.results import RUNS_FILE
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.results.store import RUNS_FILE
 from paper_tables.render import PUBLISHED, render_directory
 
 RESULTS = PUBLISHED.parent / "results"

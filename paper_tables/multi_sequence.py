@@ -5,17 +5,17 @@ import io
 from collections.abc import Mapping
 from pathlib import Path
 
-from cvqmpt_lab.evaluation.phases import (
+from cvqmpt_lab.results.statistics import UNDEFINED
+from cvqmpt_lab.results.store import ResultRow
+from paper_tables.cells import aligned, bounds, exact, latex, number
+from paper_tables.phases_summary import (
     PHASE_COLUMNS,
     TIMES,
     PhasesTable,
     PlannerTimes,
     build_phases_table,
 )
-from cvqmpt_lab.evaluation.report import read_published
-from cvqmpt_lab.evaluation.results import ResultRow
-from cvqmpt_lab.evaluation.statistics import UNDEFINED
-from paper_tables.cells import aligned, bounds, exact, latex, number
+from paper_tables.place_task_summary import read_published
 
 MULTI_SEQUENCE = "multi-sequence"  # the suite
 ENVIRONMENT = "Multi-sequence task"

@@ -7,9 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.evaluation.comparison import RATIOS, REFERENCE, split_metric
-from cvqmpt_lab.evaluation.provenance import ProvenanceFile, write_text_atomic
-from cvqmpt_lab.evaluation.report import (
+from cvqmpt_lab.results.provenance import ProvenanceFile, write_text_atomic
+from cvqmpt_lab.results.statistics import UNDEFINED
+from cvqmpt_lab.results.store import PARTIAL_FILE, RUNS_FILE, ResultRow, read_rows
+from paper_tables.cells import aligned, bounds, exact, latex, number
+from paper_tables.comparison import RATIOS, REFERENCE, split_metric
+from paper_tables.multi_sequence import MULTI_SEQUENCE, render_multi_sequence
+from paper_tables.place_task_summary import (
     EFFORT,
     HEADLINES,
     METHOD_NOTES,
@@ -21,10 +25,6 @@ from cvqmpt_lab.evaluation.report import (
     curve_metric,
     read_published,
 )
-from cvqmpt_lab.evaluation.results import PARTIAL_FILE, RUNS_FILE, ResultRow, read_rows
-from cvqmpt_lab.evaluation.statistics import UNDEFINED
-from paper_tables.cells import aligned, bounds, exact, latex, number
-from paper_tables.multi_sequence import MULTI_SEQUENCE, render_multi_sequence
 
 PUBLISHED = Path(__file__).resolve().parent / "published"
 CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")

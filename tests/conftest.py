@@ -9,7 +9,7 @@ from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
-from experiments.place_task import DOOR, DOOR_ANGLE, place_problem
+from experiments.suites.place_task import DOOR, DOOR_ANGLE, place_problem
 
 DATA = Path(__file__).parent / "data"
 

@@ -14,7 +14,7 @@ from cvqmpt_lab.models.config import (
     SetAbstractionConfig,
     TransformerConfig,
 )
-from cvqmpt_lab.models.dictionary import Dictionary
+from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.prediction.configurations import robot_signature
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.evaluation.certificate import LARGEST_STEP, TOLERANCE, certify
+from cvqmpt_lab.certificate import LARGEST_STEP, TOLERANCE, certify
 from cvqmpt_lab.planning.result import Path
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere

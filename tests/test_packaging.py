@@ -134,15 +134,15 @@ def test_layers_and_doors_are_kept(tmp_path):
     ("old", "new", "broken"),
     [
         (
-            "    cvqmpt_lab.scene.collision\n    cvqmpt_lab.robot.hulls",
-            "    cvqmpt_lab.scene.collision",
+            "    cvqmpt_lab.scene.exact_checker\n    cvqmpt_lab.robot.hulls",
+            "    cvqmpt_lab.scene.exact_checker",
             "-> coal",
         ),
-        ("    cvqmpt_lab.viewer\n\n[", "    cvqmpt_lab.picture\n\n[", "-> rerun"),
+        ("    cvqmpt_lab.show.recording\n\n[", "    cvqmpt_lab.show.still\n\n[", "-> rerun"),
         (
-            "    cvqmpt_lab.viewer\n    cvqmpt_lab.picture |",
-            "    cvqmpt_lab.picture | cvqmpt_lab.viewer |",
-            "-> cvqmpt_lab.picture",
+            "    cvqmpt_lab.show.recording\n    cvqmpt_lab.show.still |",
+            "    cvqmpt_lab.show.still | cvqmpt_lab.show.recording |",
+            "-> cvqmpt_lab.show.still",
         ),
     ],
 )

@@ -15,7 +15,7 @@ from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.scene.scene import SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box
-from experiments.place_task import place_problem
+from experiments.suites.place_task import place_problem
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cvqmpt_lab.kernels.task_space_region import Regions
+from cvqmpt_lab.kernels.manifold.regions import Regions
 
 
 class Constraint(Protocol):

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, stack_regions
-from cvqmpt_lab.kernels.projection import projection_scratch, reach_poses
+from cvqmpt_lab.kernels.manifold.projection import projection_scratch, reach_poses
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.collision import CollisionChecker
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
 
 TOLERANCE = 1e-6  # [m, rad] on the pose
 MAX_ITERATIONS = 20

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.projection import project, projection_scratch
-from cvqmpt_lab.kernels.task_space_region import Regions, batch_residual_and_jacobian
+from cvqmpt_lab.kernels.manifold.projection import project, projection_scratch
+from cvqmpt_lab.kernels.manifold.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.robot.robot import Robot
 
 TOLERANCE = 1e-4  # on |F|, OMPL's default

@@ -24,10 +24,10 @@ from numba import config, njit
 
 
 def _sources_digest() -> str:
-    """Hash of every file of this folder."""
+    """Hash of every file of this folder and those in it."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode())
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(str(path.relative_to(Path(__file__).parent)).encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -18,8 +18,8 @@ import numpy as np
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.observation import CloudOf, Observer
-from cvqmpt_lab.models.mpnet import MPNetCheckpoint
-from cvqmpt_lab.models.mpnet_inference import MPNetInference
+from cvqmpt_lab.models.mpnet.inference import MPNetInference
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
 from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.direct_motion import direct_motion

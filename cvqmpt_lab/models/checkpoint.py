@@ -8,10 +8,10 @@ from typing import Any
 from torch import nn
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.compact_sequence_model import CompactSequenceModel
+from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig
-from cvqmpt_lab.models.dictionary import Dictionary
-from cvqmpt_lab.models.sequence_model import PublishedSequenceModel
+from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
 from cvqmpt_lab.models.weights_folder import RobotSignature, load_part, read_description, write_weights
 
 ARCHITECTURE = "vq-mpt"

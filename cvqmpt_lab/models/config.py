@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.json_dataclass import from_plain, to_plain
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 import math
 import time
 
-from cvqmpt_lab.kernels.space import ITERATIONS
+from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS
 from cvqmpt_lab.planning.result import Budget, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.distributions import SamplingDistribution
-from cvqmpt_lab.kernels import birrt as kernels
+from cvqmpt_lab.kernels.search import tree_growth as kernels
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus, Tree
 from cvqmpt_lab.planning.space import ConstrainedSpace
 

@@ -4,13 +4,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvqmpt_lab.kernels.geometry import RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
-from cvqmpt_lab.kernels.point_clusters import Cloud
-from cvqmpt_lab.kernels.separation import BOX, CYLINDER, HULL, SPHERE
-from cvqmpt_lab.kernels.shapes import ShapeSpec
+from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
+from cvqmpt_lab.kernels.collision.point_clusters import Cloud
+from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, SPHERE
+from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.collision import MOST_BALLS, carried_pairs
+from cvqmpt_lab.scene.exact_checker import MOST_BALLS, carried_pairs
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
 

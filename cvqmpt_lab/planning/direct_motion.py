@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cvqmpt_lab.kernels.motion import DEVIATION, bisect_motion
+from cvqmpt_lab.kernels.search.motion import DEVIATION, bisect_motion
 from cvqmpt_lab.planning.result import Path
 from cvqmpt_lab.planning.space import ConstrainedSpace
 

@@ -14,7 +14,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cvqmpt_lab.distributions import SamplingDistribution
-from cvqmpt_lab.kernels.space import ITERATIONS, NEWTON_ITERATIONS
+from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS, NEWTON_ITERATIONS
 from cvqmpt_lab.planning.result import Budget, Counters, Path, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 

@@ -8,7 +8,7 @@ import numpy as np
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution, Uniform
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels import roadmap as kernels
+from cvqmpt_lab.kernels.search import lazy_roadmap as kernels
 from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.shortcut import shortcut
+from cvqmpt_lab.kernels.search.shortcut import shortcut
 from cvqmpt_lab.planning.result import Counters, Path
 from cvqmpt_lab.planning.space import ConstrainedSpace
 

@@ -6,15 +6,15 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.kernels import space as kernels
-from cvqmpt_lab.kernels.bound import BoundSpace, bind, constraint_one, project_one, valid_one
-from cvqmpt_lab.kernels.geometry import swing
-from cvqmpt_lab.kernels.motion import refine_and_check
-from cvqmpt_lab.kernels.projection import projection_scratch
+from cvqmpt_lab.kernels.collision.geometry import swing
+from cvqmpt_lab.kernels.manifold.projection import projection_scratch
+from cvqmpt_lab.kernels.search import space_arrays as kernels
+from cvqmpt_lab.kernels.search.motion import refine_and_check
+from cvqmpt_lab.kernels.search.single_state import BoundSpace, bind, constraint_one, project_one, valid_one
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.result import Counters, Path
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.collision import CollisionChecker
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.shapes import bounding_radius
 
 BACKENDS = ("compiled", "exact")

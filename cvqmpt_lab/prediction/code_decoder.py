@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.models.attention import EPSILON
-from cvqmpt_lab.models.dictionary import Dictionary
+from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.published.attention import EPSILON
 
 
 @dataclass(frozen=True, eq=False)

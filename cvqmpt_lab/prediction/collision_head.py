@@ -5,7 +5,7 @@ import torch
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.compact_sequence_model import CompactSequenceModel
+from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.robot.robot import Robot
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.kinematics import link_poses
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.weights_folder import RobotSignature
 from cvqmpt_lab.robot.robot import Robot

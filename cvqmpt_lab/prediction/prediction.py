@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.models.beam_search import CodeSequence
+from cvqmpt_lab.models.decoding.beam_search import CodeSequence
 from cvqmpt_lab.prediction.code_decoder import Refinement
 
 

@@ -11,13 +11,13 @@ import torch
 
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models.beam_search import CodeSequence, Scoring, beam_search, sample_sequences
 from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.compact_inference import CompactInference
-from cvqmpt_lab.models.compact_sequence_model import CompactScene, CompactSequenceModel
-from cvqmpt_lab.models.decoding import StepDecoder
-from cvqmpt_lab.models.point_sampling import require_point_cloud
-from cvqmpt_lab.models.sequence_model import PublishedScene, PublishedSequenceModel
+from cvqmpt_lab.models.compact.inference import CompactInference
+from cvqmpt_lab.models.compact.sequence_model import CompactScene, CompactSequenceModel
+from cvqmpt_lab.models.decoding.beam_search import CodeSequence, Scoring, beam_search, sample_sequences
+from cvqmpt_lab.models.decoding.step_decoder import StepDecoder
+from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
+from cvqmpt_lab.models.published.sequence_model import PublishedScene, PublishedSequenceModel
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.prediction.prediction import CodeUnion, Prediction

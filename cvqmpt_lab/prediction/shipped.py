@@ -6,7 +6,7 @@ from pathlib import Path
 import cvqmpt_lab
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.mpnet import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
 from cvqmpt_lab.models.weights_folder import CONFIG_FILE
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.robot.robot import Robot

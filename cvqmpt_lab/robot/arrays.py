@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.kernels.kinematics import Kinematics
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
 
 
 def axis_frames(model: pin.Model) -> list[np.ndarray]:

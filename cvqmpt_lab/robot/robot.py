@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.kernels.kinematics import Kinematics
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
 from cvqmpt_lab.robot.arrays import axis_frames, in_link
 from cvqmpt_lab.robot.limits import JointLimits
 

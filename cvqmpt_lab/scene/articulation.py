@@ -7,7 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
-from cvqmpt_lab.scene.collision import coal_shape, shape_distance
+from cvqmpt_lab.scene.exact_checker import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject, pose
 from cvqmpt_lab.scene.shapes import FloatArray, PointCloud
 

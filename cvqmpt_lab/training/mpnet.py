@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.models.mpnet import MPNet, MPNetCheckpoint, MPNetConfig, save_mpnet
+from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig, save_mpnet
 from cvqmpt_lab.training.augmentation import Augmentation
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.loop import Batch, OptimizerSettings

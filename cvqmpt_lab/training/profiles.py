@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.config import (
     DictionaryConfig,
@@ -13,8 +14,7 @@ from cvqmpt_lab.models.config import (
     SetAbstractionConfig,
     TransformerConfig,
 )
-from cvqmpt_lab.models.json_dataclass import from_plain, to_plain
-from cvqmpt_lab.models.mpnet import MPNetConfig
+from cvqmpt_lab.models.mpnet.network import MPNetConfig
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.loop import OptimizerSettings
 from cvqmpt_lab.training.mpnet import MPNetSettings

@@ -12,12 +12,12 @@ from torch.utils.data import Dataset
 
 from cvqmpt_lab.models.checkpoint import Checkpoint, save_checkpoint
 from cvqmpt_lab.models.config import ModelConfig
-from cvqmpt_lab.models.dictionary import Dictionary
-from cvqmpt_lab.models.losses import stage1_loss
+from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.training.augmentation import Augmentation
 from cvqmpt_lab.training.dataset import FULL_SCALE, PathDataset, with_few_trivial
 from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.loop import Batch, OptimizerSettings, batch_seed
+from cvqmpt_lab.training.losses import stage1_loss
 from cvqmpt_lab.training.run_folder import Progress
 
 

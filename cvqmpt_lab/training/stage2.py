@@ -12,15 +12,15 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import Checkpoint, SequenceModel, build_sequence_model, save_checkpoint
-from cvqmpt_lab.models.compact_sequence_model import CompactScene, CompactSequenceModel
+from cvqmpt_lab.models.compact.sequence_model import CompactScene, CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig
-from cvqmpt_lab.models.dictionary import Dictionary
-from cvqmpt_lab.models.losses import binary_loss, refinement_loss, sequence_loss
-from cvqmpt_lab.models.sequence_model import PublishedSequenceModel, prefix_samples
+from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel, prefix_samples
 from cvqmpt_lab.training.augmentation import Augmentation
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.loop import Batch, OptimizerSettings
+from cvqmpt_lab.training.losses import binary_loss, refinement_loss, sequence_loss
 from cvqmpt_lab.training.run_folder import Progress
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, other_scenes
 from cvqmpt_lab.training.sequences import CodeSequences, code_sequences

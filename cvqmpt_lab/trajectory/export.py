@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.evaluation.provenance import write_text_atomic
+from cvqmpt_lab.results.provenance import write_text_atomic
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 KINDS = ("position", "velocity", "acceleration")

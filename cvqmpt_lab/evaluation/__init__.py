@@ -1,1 +1,0 @@
-"""Certificates, result rows, statistics and tables."""

@@ -1,0 +1,1 @@
+"""Conservative collision checking: convex pieces, distance grid, separation."""

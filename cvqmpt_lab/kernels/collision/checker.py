@@ -1,0 +1,224 @@
+"""Whether a posed robot touches an obstacle or itself: conservative by construction.
+
+The balls of each body are walked from large to small; a look-up in the distance grid clears a ball and all
+below it. What is left at the leaves is settled between a convex piece and each nearby obstacle by
+`separation.separated`, which says "free" only on the evidence of a separating slab. Poses that are not
+finite count as collisions.
+"""
+
+import numpy as np
+
+from cvqmpt_lab.kernels.collision.distance_grid import cell_of, known_distance
+from cvqmpt_lab.kernels.collision.separation import compose, point_separated, separated
+from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
+
+FREE = -1
+
+
+@inlined
+def _placed(r, t, link, sphere, k):
+    """World position of the centre of ball k."""
+    x, y, z = sphere[k, 0], sphere[k, 1], sphere[k, 2]
+    return (
+        r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0],
+        r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1],
+        r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2],
+    )
+
+
+@inlined
+def _moved(pose, x, y, z):
+    """A point seen through a pose (12-tuple)."""
+    return (
+        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
+        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
+        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
+    )
+
+
+@inlined
+def _world_in_link(r, t, link):
+    """Pose of the world in a link's frame: 9 rotation entries by rows, then 3 of translation."""
+    x, y, z = t[link, 0], t[link, 1], t[link, 2]
+    return (
+        r[link, 0, 0],
+        r[link, 1, 0],
+        r[link, 2, 0],
+        r[link, 0, 1],
+        r[link, 1, 1],
+        r[link, 2, 1],
+        r[link, 0, 2],
+        r[link, 1, 2],
+        r[link, 2, 2],
+        -(r[link, 0, 0] * x + r[link, 1, 0] * y + r[link, 2, 0] * z),
+        -(r[link, 0, 1] * x + r[link, 1, 1] * y + r[link, 2, 1] * z),
+        -(r[link, 0, 2] * x + r[link, 1, 2] * y + r[link, 2, 2] * z),
+    )
+
+
+@thin
+def _way_out(bounds, i, x, y, z):
+    """World vector from the nearest point of item i's box to a point [m]; zero inside."""
+    dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
+    a = bounds[i, 0] * dx + bounds[i, 3] * dy + bounds[i, 6] * dz
+    b = bounds[i, 1] * dx + bounds[i, 4] * dy + bounds[i, 7] * dz
+    c = bounds[i, 2] * dx + bounds[i, 5] * dy + bounds[i, 8] * dz
+    a -= min(max(a, -bounds[i, 12]), bounds[i, 12])
+    b -= min(max(b, -bounds[i, 13]), bounds[i, 13])
+    c -= min(max(c, -bounds[i, 14]), bounds[i, 14])
+    return (
+        bounds[i, 0] * a + bounds[i, 1] * b + bounds[i, 2] * c,
+        bounds[i, 3] * a + bounds[i, 4] * b + bounds[i, 5] * c,
+        bounds[i, 6] * a + bounds[i, 7] * b + bounds[i, 8] * c,
+    )
+
+
+@kernel
+def _touches_points(pieces, piece, points, first, last, radius, pose, centre, reach, margin):
+    """Whether a piece comes within margin of a ball around one of points[first:last]; pose: world in link."""
+    for k in range(first, last):
+        p = _moved(pose, points[k, 0], points[k, 1], points[k, 2])
+        axis = (centre[0] - p[0], centre[1] - p[1], centre[2] - p[2])
+        if axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] > (reach + radius) * (reach + radius):
+            continue
+        if not point_separated(pieces, piece, p, radius, axis, margin):
+            return True
+    return False
+
+
+@thin
+def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin):
+    """First item within margin of the piece in leaf node, whose ball is centred on x, y, z; or FREE."""
+    piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
+    listed = inside and reach <= scene.reach
+    first, count = 0, scene.bounds.shape[0]
+    if listed:
+        first, count = (
+            scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1],
+            scene.grid.list_count[ix >> 1, iy >> 1, iz >> 1],
+        )
+    pose = _world_in_link(r, t, link)
+    for k in range(first, first + count):
+        i = np.int64(scene.grid.items[k]) if listed else np.int64(k)
+        ax, ay, az = _way_out(scene.bounds, i, x, y, z)
+        distance2, limit = ax * ax + ay * ay + az * az, reach + scene.bounds[i, 15]
+        if distance2 > limit * limit:
+            continue
+        if not distance2 > 0.0:
+            ax, ay, az = x - scene.bounds[i, 9], y - scene.bounds[i, 10], z - scene.bounds[i, 11]
+        axis = (
+            pose[0] * ax + pose[1] * ay + pose[2] * az,
+            pose[3] * ax + pose[4] * ay + pose[5] * az,
+            pose[6] * ax + pose[7] * ay + pose[8] * az,
+        )
+        if separated(robot.pieces, piece, scene.shapes, i, pose, axis, margin):
+            continue
+        a, b = scene.point_start[i], scene.point_start[i + 1]
+        centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+        if a == b or _touches_points(
+            robot.pieces, piece, scene.points, a, b, scene.bounds[i, 15], pose, centre, reach, margin
+        ):
+            return i
+    return FREE
+
+
+@thin
+def _obstacle_contact(r, t, robot, scene, body, margin):
+    """(geometry, obstacle) of the first contact of a body, or (FREE, FREE)."""
+    link = robot.body_link[body]
+    node, end = robot.body_start[body], robot.body_end[body]
+    while node < end:
+        x, y, z = _placed(r, t, link, robot.sphere, node)
+        ix, iy, iz, inside = cell_of(scene.grid, x, y, z)
+        if inside:
+            if known_distance(scene.grid, ix, iy, iz) > robot.sphere[node, 3] + margin:
+                node = robot.skip[node]
+                continue
+        elif not abs(x) + abs(y) + abs(z) < np.inf:
+            return -2, FREE
+        if robot.leaf[node] >= 0:
+            item = _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin)
+            if item != FREE:
+                return robot.owner[robot.leaf[node]], scene.owner[item]
+        node += 1
+    return FREE, FREE
+
+
+@thin
+def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
+    """First piece of body other within margin of a piece with ball (x, y, z, radius), or FREE.
+
+    pose: of the other body's link in the frame of the piece's link.
+    """
+    node, end = robot.body_start[other], robot.body_end[other]
+    while node < end:
+        p = _moved(pose, robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2])
+        axis = (x - p[0], y - p[1], z - p[2])
+        limit = radius + robot.sphere[node, 3]
+        if axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] > limit * limit:
+            node = robot.skip[node]
+            continue
+        if robot.leaf[node] >= 0 and not separated(
+            robot.pieces, piece, robot.pieces, robot.leaf[node], pose, axis, margin
+        ):
+            return robot.leaf[node]
+        node += 1
+    return FREE
+
+
+@thin
+def _body_contact(r, t, robot, a, b, xa, ya, za, margin):
+    """Geometries of the first contact of two bodies, or (FREE, FREE).
+
+    xa, ya, za: where the largest ball of a is in the world.
+    """
+    la, lb = robot.body_link[a], robot.body_link[b]
+    node, end, root = robot.body_start[a], robot.body_end[a], robot.body_start[b]
+    xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
+    limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin
+    if (xa - xb) * (xa - xb) + (ya - yb) * (ya - yb) + (za - zb) * (za - zb) > limit * limit:
+        return FREE, FREE
+    world = _world_in_link(r, t, la)
+    pose = compose(r[lb], t[lb], world)
+    x, y, z = _moved(world, xb, yb, zb)
+    while node < end:
+        dx, dy, dz = robot.sphere[node, 0] - x, robot.sphere[node, 1] - y, robot.sphere[node, 2] - z
+        radius = robot.sphere[node, 3] + margin
+        limit = radius + robot.sphere[root, 3]
+        if dx * dx + dy * dy + dz * dz > limit * limit:
+            node = robot.skip[node]
+            continue
+        piece = robot.leaf[node]
+        if piece >= 0:
+            cx, cy, cz = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+            other = _leaf_contact(robot, piece, cx, cy, cz, radius, b, pose, margin)
+            if other != FREE:
+                return robot.owner[piece], robot.owner[other]
+        node += 1
+    return FREE, FREE
+
+
+@kernel
+def first_contact(link_rotation, link_translation, robot, scene, margin):
+    """Return the first contact found within margin [m]: which geometry touches what.
+
+    (geometry, obstacle); (geometry, -1 - other geometry); (-1, -1) when the state is free; (-2, -1) when a
+    link pose is not finite.
+    """
+    for k in range(robot.order.shape[0]):
+        geometry, obstacle = _obstacle_contact(
+            link_rotation, link_translation, robot, scene, robot.order[k], margin
+        )
+        if geometry != FREE:
+            return geometry, obstacle
+    placed = -1
+    x = y = z = 0.0
+    for k in range(robot.pairs.shape[0]):
+        a, b = robot.pairs[k, 0], robot.pairs[k, 1]
+        if a != placed:
+            placed, link = a, robot.body_link[a]
+            x, y, z = _placed(link_rotation, link_translation, link, robot.sphere, robot.body_start[a])
+        geometry, other = _body_contact(link_rotation, link_translation, robot, a, b, x, y, z, margin)
+        if geometry != FREE:
+            return geometry, -1 - other
+    return FREE, FREE

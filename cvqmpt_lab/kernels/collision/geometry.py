@@ -1,0 +1,255 @@
+"""Robot and scene as the collision kernels see them: bundles of plain arrays, and their builders.
+
+A *piece* is a convex part of a robot geometry; a *body* is a set of geometries on one link that are checked
+against the same others; it is walked as one tree of balls. An *item* is an obstacle, or a box around a
+handful of neighbouring points of a cloud.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.collision.distance_grid import (
+    CENTRE,
+    COLUMNS,
+    HALF,
+    REACH,
+    SWELLING,
+    DistanceGrid,
+    distance_grid,
+)
+from cvqmpt_lab.kernels.collision.point_clusters import Cloud, PointClusters, cluster_points
+from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
+from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline, pack_shapes
+from cvqmpt_lab.kernels.collision.sphere_cover import (
+    LARGEST_RADIUS,
+    MOST_PIECES,
+    Piece,
+    cut_into_pieces,
+    sphere_tree,
+)
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
+
+CELL = 0.04  # [m] of the distance grid
+
+
+class RobotGeometry(NamedTuple):
+    """Convex pieces of a robot, its attachments included.
+
+    Attributes
+    ----------
+    pieces: m convex pieces in their link frames. owner: (m,) geometry of each piece.
+    sphere, skip, leaf: balls of all bodies, see `SphereTree`; leaf counts pieces.
+    body_link, body_start, body_end: (b,) pose row and range of balls of each body.
+    order: bodies to check against obstacles, tip first. pairs: (k, 2) bodies to check against each other.
+    largest: radius of the largest ball at a leaf [m].
+    """
+
+    pieces: ConvexShapes
+    owner: np.ndarray
+    sphere: np.ndarray
+    skip: np.ndarray
+    leaf: np.ndarray
+    body_link: np.ndarray
+    body_start: np.ndarray
+    body_end: np.ndarray
+    order: np.ndarray
+    pairs: np.ndarray
+    largest: float
+
+
+class SceneGeometry(NamedTuple):
+    """Obstacles and clusters of cloud points, with their grid.
+
+    Attributes
+    ----------
+    shapes, bounds: all items; bounds (n, COLUMNS) are oriented boxes, see `distance_grid`.
+    owner: (n,) obstacle of each item; clouds are counted after the shapes.
+    point_start: (n + 1,) range of each item's points; empty for a shape, which is solid.
+    points: (k, 3) [m]. reach: largest ball whose neighbours the grid lists [m].
+    """
+
+    shapes: ConvexShapes
+    bounds: np.ndarray
+    owner: np.ndarray
+    point_start: np.ndarray
+    points: np.ndarray
+    grid: DistanceGrid
+    reach: float
+
+
+def robot_geometry(
+    specs: Sequence[ShapeSpec],
+    link: Sequence[int],
+    pairs: Sequence[tuple[int, int]],
+    obstacles_matter: Sequence[bool] | None = None,
+    largest_radius: float = LARGEST_RADIUS,
+    most_pieces: int = MOST_PIECES,
+) -> RobotGeometry:
+    """Return the pieces of a robot with their trees of balls.
+
+    Parameters
+    ----------
+    specs: geometries, posed in their links. link: pose row of each.
+    pairs: geometries to check against each other.
+    obstacles_matter: which geometries are checked against obstacles; by default all but those of link 0,
+        which is fixed to the world.
+    largest_radius, most_pieces: how finely geometries are cut [m].
+    """
+    matter = [row != 0 for row in link] if obstacles_matter is None else list(obstacles_matter)
+    bodies, body_pairs = _bodies(link, pairs, matter)
+    piece_specs: list[ShapeSpec] = []
+    owner: list[int] = []
+    trees = []
+    for members in bodies:
+        leaves: list[Piece] = []
+        for g in members:
+            leaves.extend(_cut(specs[g], largest_radius, most_pieces, piece_specs))
+            owner.extend([g] * (len(piece_specs) - len(owner)))
+        trees.append(sphere_tree(leaves))
+    end = np.cumsum([len(tree.leaf) for tree in trees], dtype=np.int64)
+    start = end - [len(tree.leaf) for tree in trees]
+    rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
+    order = [b for b in np.argsort(-rows, kind="stable") if matter[bodies[b][0]]]
+    sphere = np.concatenate([np.empty((0, 4)), *(tree.sphere for tree in trees)])
+    leaf = np.concatenate([np.empty(0, np.int64), *(tree.leaf for tree in trees)])
+    return RobotGeometry(
+        pieces=pack_shapes(piece_specs),
+        owner=np.array(owner, dtype=np.int64),
+        sphere=sphere,
+        skip=np.concatenate(
+            [np.empty(0, np.int64), *(t.skip + s for t, s in zip(trees, start, strict=True))]
+        ),
+        leaf=leaf,
+        body_link=rows,
+        body_start=start.astype(np.int64),
+        body_end=end,
+        order=np.array(order, dtype=np.int64),
+        pairs=np.array(body_pairs, dtype=np.int64).reshape(-1, 2),
+        largest=float(sphere[leaf >= 0, 3].max(initial=0.0)),
+    )
+
+
+def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
+    """Return how far any point of the robot can move per unit of each joint (n,) [m/rad, or 1 for sliders]."""
+    n = len(kinematics.parent)
+    extent = np.zeros(n + 1)  # of what hangs on each pose row, from its origin
+    for row, first in zip(robot.body_link, robot.body_start, strict=True):
+        ball = robot.sphere[first]
+        extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
+    for j in reversed(range(n)):
+        slide = max(abs(kinematics.lower[j]), abs(kinematics.upper[j])) if kinematics.prismatic[j] else 0.0
+        step = np.linalg.norm(kinematics.translation[j]) + slide
+        up = kinematics.parent[j]
+        extent[up] = max(extent[up], step + extent[j + 1])
+    return np.where(kinematics.prismatic, 1.0, extent[1:])
+
+
+def _bodies(
+    link: Sequence[int], pairs: Sequence[tuple[int, int]], matter: Sequence[bool]
+) -> tuple[list[list[int]], list[tuple[int, int]]]:
+    """Group geometries that share a link, their partners and whether obstacles matter; pair the groups."""
+    partners: list[set[int]] = [set() for _ in link]
+    for a, b in pairs:
+        partners[a].add(b)
+        partners[b].add(a)
+    groups: dict[tuple[int, bool, frozenset[int]], list[int]] = {}
+    for g, row in enumerate(link):
+        groups.setdefault((row, matter[g], frozenset(partners[g])), []).append(g)
+    bodies = [members for (_, checked, others), members in groups.items() if checked or others]
+    body_of = {g: b for b, members in enumerate(bodies) for g in members}
+    paired = {(min(body_of[a], body_of[b]), max(body_of[a], body_of[b])) for a, b in pairs}
+    return bodies, sorted(paired)
+
+
+def _cut(spec: ShapeSpec, largest_radius: float, most_pieces: int, pieces: list[ShapeSpec]) -> list[Piece]:
+    """Append the pieces of one geometry; return them as leaves. Only polytopes are really cut."""
+    points, swelling = outline(spec)
+    parts = [points] if swelling > 0.0 else cut_into_pieces(points, largest_radius, most_pieces)
+    if spec.kind not in (HULL, BOX) or len(parts) == 1:
+        pieces.append(spec)
+        return [Piece(part, swelling, len(pieces) - 1) for part in parts]
+    leaves = []
+    for part in parts:
+        pieces.append(ShapeSpec(HULL, (), part, np.eye(4)))
+        leaves.append(Piece(part, swelling, len(pieces) - 1))
+    return leaves
+
+
+def scene_geometry(
+    specs: Sequence[ShapeSpec],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    cell: float = CELL,
+    clouds: Sequence[Cloud] = (),
+    reach: float = REACH,
+) -> SceneGeometry:
+    """Return obstacles and clouds (in the world frame) with a grid over the box lower..upper (3,) [m].
+
+    Balls outside the grid, or larger than reach, are compared with every item: correct, but slow.
+    Raises InvalidInputError for poses, vertices or points that are not finite, and for empty meshes.
+    """
+    solid = pack_shapes(specs)
+    clusters = cluster_points(clouds, cell)
+    shapes = _with_boxes(solid, clusters)
+    bounds = np.concatenate([_bounds(specs).reshape(-1, COLUMNS), _box_bounds(clusters)])
+    count = len(specs)
+    return SceneGeometry(
+        shapes=shapes,
+        bounds=bounds,
+        owner=np.concatenate([np.arange(count), count + clusters.cloud]).astype(np.int64),
+        point_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
+        points=clusters.points,
+        grid=distance_grid(bounds, lower, upper, cell, reach),
+        reach=float(reach),
+    )
+
+
+def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
+    """Oriented boxes (n, COLUMNS) around shapes, swelled by a radius; exact for boxes and spheres."""
+    rows = np.zeros((len(specs), COLUMNS))
+    for row, spec in zip(rows, specs, strict=True):
+        R, middle, half = spec.T_owner_shape[:3, :3], np.zeros(3), np.zeros(3)
+        if spec.kind == HULL:
+            low, high = spec.vertices.min(axis=0), spec.vertices.max(axis=0)
+            middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        elif spec.kind == CYLINDER:
+            half[:] = spec.size[0], spec.size[0], 0.5 * spec.size[2]
+        elif spec.kind == BOX:
+            half = 0.5 * np.array(spec.size)
+        else:
+            row[SWELLING] = spec.size[0]
+        row[:CENTRE], row[CENTRE:HALF] = R.ravel(), R @ middle + spec.T_owner_shape[:3, 3]
+        row[HALF:SWELLING] = half
+    return rows
+
+
+def _box_bounds(clusters: PointClusters) -> np.ndarray:
+    """The boxes of clusters as bounds (n, COLUMNS)."""
+    rows = np.zeros((len(clusters.cloud), COLUMNS))
+    rows[:, [0, 4, 8]] = 1.0
+    rows[:, CENTRE:HALF], rows[:, HALF:SWELLING], rows[:, SWELLING] = (
+        clusters.centre,
+        clusters.half,
+        clusters.radius,
+    )
+    return rows
+
+
+def _with_boxes(shapes: ConvexShapes, clusters: PointClusters) -> ConvexShapes:
+    """Shapes followed by the boxes of clusters."""
+    n = len(clusters.cloud)
+    if n == 0:
+        return shapes
+    none = np.zeros(n, dtype=np.int64)
+    return ConvexShapes(
+        kind=np.concatenate([shapes.kind, np.full(n, BOX, dtype=np.int64)]),
+        size=np.concatenate([shapes.size, clusters.half]),
+        radius=np.concatenate([shapes.radius, clusters.radius]),
+        rotation=np.concatenate([shapes.rotation, np.tile(np.eye(3), (n, 1, 1))]),
+        translation=np.concatenate([shapes.translation, clusters.centre]),
+        vertex_start=np.concatenate([shapes.vertex_start, none]),
+        vertex_count=np.concatenate([shapes.vertex_count, none]),
+        vertices=shapes.vertices,
+    )

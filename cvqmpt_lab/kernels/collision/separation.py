@@ -1,0 +1,242 @@
+"""Separation of two convex shapes: a GJK that only ever believes a separating axis it has evaluated.
+
+GJK walks towards the point of the Minkowski difference ``A - B`` nearest to the origin (Gilbert, Johnson and
+Keerthi 1988). Here its iterates merely *propose* axes. For a proposed axis the support points of both shapes
+give the width of the empty slab between them; shapes are called free only when some slab was wider than the
+asked margin. Running out of iterations, numerical trouble and NaN poses therefore all end as "collision".
+
+Everything is scalar and allocation-free; coordinates are in the frame of shape A's owner [m].
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.collision.simplex import dot, nearest_on_simplex
+from cvqmpt_lab.kernels.compiling import inlined, kernel
+
+HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
+MAX_HULL_VERTICES = 1 << 16
+_INDEX_MASK = np.int64(MAX_HULL_VERTICES - 1)
+_VALUE_MASK = ~_INDEX_MASK
+_MAX_ITERATIONS = 64
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class ConvexShapes(NamedTuple):
+    """Convex shapes as a struct of arrays; a numba argument.
+
+    Every shape is a core (below) swelled by ``radius``, so that a sphere is a swelled point.
+    Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's frame.
+    """
+
+    kind: np.ndarray
+    """(n,) int64: HULL, BOX, CYLINDER (axis z) or SPHERE."""
+    size: np.ndarray
+    """(n, 3) float64: half sizes of a box; (radius, radius, half length) of a cylinder; largest absolute
+    coordinates of a hull; zeros for a sphere [m]."""
+    radius: np.ndarray
+    """(n,) float64 swelling of the core [m]; for a sphere its radius."""
+    rotation: np.ndarray
+    """(n, 3, 3) float64 orientation of the core in its owner's frame."""
+    translation: np.ndarray
+    """(n, 3) float64 position of the core in its owner's frame [m]."""
+    vertex_start: np.ndarray
+    """(n,) int64 first column of ``vertices``."""
+    vertex_count: np.ndarray
+    """(n,) int64 number of columns of ``vertices``."""
+    vertices: np.ndarray
+    """(3, m) float64 packed hull vertices, one row a coordinate so that the support loop vectorises [m]."""
+
+
+@inlined
+def _hull_support(x, y, z, size, d):
+    """Return the vertex farthest along d among x, y, z (n,), to about 1e-10 of the hull's size.
+
+    The index of each vertex rides in the low bits of its (positive) projection, which turns the search for
+    the farthest vertex into a maximum of integers: the only form that compiles to vector instructions.
+    """
+    offset = 1.001 * (size[0] * abs(d[0]) + size[1] * abs(d[1]) + size[2] * abs(d[2])) + 1e-200
+    best = np.int64(0)
+    for i in range(x.shape[0]):
+        projection = np.float64(x[i] * d[0] + y[i] * d[1] + z[i] * d[2] + offset)
+        best = max(best, (projection.view(np.int64) & _VALUE_MASK) | i)
+    k = min(best & _INDEX_MASK, x.shape[0] - 1)
+    return x[k], y[k], z[k]
+
+
+@inlined
+def _core_support(kind, size, x, y, z, d):
+    """Return the point of a core, in its own frame, farthest along d (3 scalars)."""
+    if kind == HULL:
+        return _hull_support(x, y, z, size, d)
+    if kind == BOX:
+        return np.copysign(size[0], d[0]), np.copysign(size[1], d[1]), np.copysign(size[2], d[2])
+    if kind == CYLINDER:
+        length = np.sqrt(d[0] * d[0] + d[1] * d[1])
+        scale = size[0] / length if length > 0.0 else 0.0
+        return scale * d[0], scale * d[1], np.copysign(size[2], d[2])
+    return 0.0, 0.0, 0.0
+
+
+@inlined
+def _posed_support(kind, size, x, y, z, pose, d):
+    """Return the point of a posed core farthest along d; pose is 9 rotation entries by row, then 3."""
+    local = (
+        pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
+        pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
+        pose[2] * d[0] + pose[5] * d[1] + pose[8] * d[2],
+    )
+    s = _core_support(kind, size, x, y, z, local)
+    return (
+        pose[0] * s[0] + pose[1] * s[1] + pose[2] * s[2] + pose[9],
+        pose[3] * s[0] + pose[4] * s[1] + pose[5] * s[2] + pose[10],
+        pose[6] * s[0] + pose[7] * s[1] + pose[8] * s[2] + pose[11],
+    )
+
+
+@kernel
+def _gjk(ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, above, below, tolerance):
+    """Return the widest slab found between two cores [m]; see `separating_gap` for when it stops."""
+    v = axis
+    n = np.int64(0)
+    p0 = p1 = p2 = axis
+    widest = -np.inf
+    known = False
+    for _ in range(_MAX_ITERATIONS):
+        length = np.sqrt(dot(v, v))
+        away = (-v[0], -v[1], -v[2])
+        if ka == HULL:
+            a = _hull_support(xa, ya, za, size_a, away)
+        else:
+            a = _posed_support(ka, size_a, xa, ya, za, pose_a, away)
+        b = _posed_support(kb, size_b, xb, yb, zb, pose_b, v)
+        w = (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+        gap = dot(v, w) / length if length > 0.0 else -np.inf
+        if gap > widest:
+            widest = gap
+            if gap > above:
+                return widest
+        if known and not length - gap > tolerance:
+            return widest
+        n, p0, p1, p2, v = nearest_on_simplex(n, p0, p1, p2, w)
+        length2 = dot(v, v)
+        if n == 4 or not length2 > below * below or (known and length2 >= length * length):
+            return widest
+        known = True
+    return widest
+
+
+@inlined
+def compose(r, t, pose):
+    """Return pose (12-tuple) followed by rotation r (3, 3) and translation t (3,) inside it."""
+    return (
+        pose[0] * r[0, 0] + pose[1] * r[1, 0] + pose[2] * r[2, 0],
+        pose[0] * r[0, 1] + pose[1] * r[1, 1] + pose[2] * r[2, 1],
+        pose[0] * r[0, 2] + pose[1] * r[1, 2] + pose[2] * r[2, 2],
+        pose[3] * r[0, 0] + pose[4] * r[1, 0] + pose[5] * r[2, 0],
+        pose[3] * r[0, 1] + pose[4] * r[1, 1] + pose[5] * r[2, 1],
+        pose[3] * r[0, 2] + pose[4] * r[1, 2] + pose[5] * r[2, 2],
+        pose[6] * r[0, 0] + pose[7] * r[1, 0] + pose[8] * r[2, 0],
+        pose[6] * r[0, 1] + pose[7] * r[1, 1] + pose[8] * r[2, 1],
+        pose[6] * r[0, 2] + pose[7] * r[1, 2] + pose[8] * r[2, 2],
+        pose[0] * t[0] + pose[1] * t[1] + pose[2] * t[2] + pose[9],
+        pose[3] * t[0] + pose[4] * t[1] + pose[5] * t[2] + pose[10],
+        pose[6] * t[0] + pose[7] * t[1] + pose[8] * t[2] + pose[11],
+    )
+
+
+@inlined
+def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
+    """Return the widest empty slab found between shape i of a and shape j of b [m].
+
+    A positive gap is certified: the slab was measured with the support points of both shapes. Zero or less
+    means that no slab was found. The search stops when a slab is wider than ``above``, when the distance is
+    known to be at most ``below``, or when the gap is within ``tolerance`` of the distance.
+
+    Parameters
+    ----------
+    a, b : ConvexShapes
+    i, j : int
+        Which shape of a and which of b.
+    pose : tuple of 12 floats
+        Pose of b's owner in the frame of a's owner: rotation by rows, then translation [m].
+    axis : tuple of 3 floats
+        First proposal, from B towards A, any length, in the frame of a's owner.
+    above, below, tolerance : float
+        Stopping rule [m].
+    """
+    swelling = a.radius[i] + b.radius[j]
+    sa, na, sb, nb = a.vertex_start[i], a.vertex_count[i], b.vertex_start[j], b.vertex_count[j]
+    va, vb = a.vertices, b.vertices
+    pose_b = pose if b.kind[j] == HULL else compose(b.rotation[j], b.translation[j], pose)
+    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
+    gap = _gjk(
+        a.kind[i],
+        (a.size[i, 0], a.size[i, 1], a.size[i, 2]),
+        va[0, sa : sa + na],
+        va[1, sa : sa + na],
+        va[2, sa : sa + na],
+        pose_a,
+        b.kind[j],
+        (b.size[j, 0], b.size[j, 1], b.size[j, 2]),
+        vb[0, sb : sb + nb],
+        vb[1, sb : sb + nb],
+        vb[2, sb : sb + nb],
+        pose_b,
+        axis,
+        above + swelling,
+        below + swelling,
+        tolerance,
+    )
+    return gap - swelling
+
+
+@inlined
+def separated(a, i, b, j, pose, axis, margin):
+    """Return whether a slab wider than margin [m] separates shape i of a from shape j of b."""
+    return separating_gap(a, i, b, j, pose, axis, margin, margin, 1e-9) > margin
+
+
+@kernel
+def distance(a, i, b, j, pose, axis, tolerance):
+    """Return a lower bound [m] of the distance of two shapes, at most tolerance below it; 0 in contact."""
+    return max(separating_gap(a, i, b, j, pose, axis, np.inf, 0.0, tolerance), 0.0)
+
+
+@inlined
+def point_separated(a, i, point, radius, axis, margin):
+    """Return whether a slab wider than margin [m] separates shape i of a from a ball.
+
+    point, radius: centre (3 floats, in the frame of a's owner) and radius of the ball [m].
+    """
+    swelling = a.radius[i] + radius
+    start, count = a.vertex_start[i], a.vertex_count[i]
+    x, y, z = (
+        a.vertices[0, start : start + count],
+        a.vertices[1, start : start + count],
+        a.vertices[2, start : start + count],
+    )
+    size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
+    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
+    pose_b = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, point[0], point[1], point[2])
+    limit = margin + swelling
+    gap = _gjk(
+        a.kind[i],
+        size,
+        x,
+        y,
+        z,
+        pose_a,
+        np.int64(SPHERE),
+        (0.0, 0.0, 0.0),
+        x,
+        y,
+        z,
+        pose_b,
+        axis,
+        limit,
+        limit,
+        1e-9,
+    )
+    return gap > limit

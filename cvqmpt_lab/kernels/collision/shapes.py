@@ -1,0 +1,103 @@
+"""Packing convex shapes into arrays for the kernels."""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.collision.separation import (
+    BOX,
+    CYLINDER,
+    HULL,
+    MAX_HULL_VERTICES,
+    SPHERE,
+    ConvexShapes,
+)
+from cvqmpt_lab.kernels.collision.sphere_cover import convex_hull
+
+_PRISM_SIDES = 16
+
+
+class ShapeSpec(NamedTuple):
+    """One convex shape in plain numbers.
+
+    Attributes
+    ----------
+    kind: HULL, BOX, CYLINDER or SPHERE.
+    size: full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, unused for a
+        hull [m].
+    vertices: (n, 3) of a hull in the shape's frame, else (0, 3).
+    T_owner_shape: (4, 4) pose in the frame of the link or the world.
+    """
+
+    kind: int
+    size: tuple[float, ...]
+    vertices: np.ndarray
+    T_owner_shape: np.ndarray
+
+
+def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
+    """Return points (k, 3) and a swelling [m], so that the swelled hull of the points holds the shape.
+
+    The points are in the frame of the owner, a link or the world.
+    """
+    if spec.kind == HULL:
+        points = spec.vertices
+    elif spec.kind == BOX:
+        points = 0.5 * np.array(spec.size) * np.array(list(product((-1.0, 1.0), repeat=3)))
+    elif spec.kind == CYLINDER:
+        turn = 2.0 * np.pi * np.arange(_PRISM_SIDES) / _PRISM_SIDES
+        radius = spec.size[0] / np.cos(np.pi / _PRISM_SIDES)
+        rim = np.column_stack(
+            [radius * np.cos(turn), radius * np.sin(turn), np.full(_PRISM_SIDES, 0.5 * spec.size[2])]
+        )
+        points = np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
+    else:
+        points = np.zeros((1, 3))
+    swelling = spec.size[0] if spec.kind == SPHERE else 0.0
+    return points @ spec.T_owner_shape[:3, :3].T + spec.T_owner_shape[:3, 3], swelling
+
+
+def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
+    """Return shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull.
+
+    Raises InvalidInputError for a pose, size or vertex that is not finite, and for a mesh without vertices.
+    """
+    n = len(specs)
+    size, radius = np.zeros((n, 3)), np.zeros(n)
+    rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    count = np.zeros(n, dtype=np.int64)
+    corners: list[np.ndarray] = [np.empty((0, 3))]
+    for i, spec in enumerate(specs):
+        _check(spec, i)
+        if spec.kind == HULL:
+            points, _ = outline(spec)
+            corners.append(convex_hull(points).corners)
+            count[i] = len(corners[-1])
+            size[i] = np.abs(corners[-1]).max(axis=0)
+            continue
+        rotation[i], translation[i] = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
+        if spec.kind == SPHERE:
+            radius[i] = spec.size[0]
+        elif spec.kind == CYLINDER:
+            size[i] = spec.size[0], spec.size[0], 0.5 * spec.size[2]
+        else:
+            size[i] = 0.5 * np.array(spec.size)
+    kind = np.array([spec.kind for spec in specs], dtype=np.int64)
+    vertices = np.ascontiguousarray(np.concatenate(corners).T)
+    return ConvexShapes(kind, size, radius, rotation, translation, np.cumsum(count) - count, count, vertices)
+
+
+def _check(spec: ShapeSpec, i: int) -> None:
+    if not np.isfinite(spec.T_owner_shape).all() or not np.isfinite(spec.size).all():
+        raise InvalidInputError(f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]")
+    if min(spec.size, default=0.0) < 0.0:
+        raise InvalidInputError(f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]")
+    if spec.kind == HULL and not 0 < len(spec.vertices) < MAX_HULL_VERTICES:
+        raise InvalidInputError(
+            f"shape {i}: a mesh with {len(spec.vertices)} vertices; give 1 to {MAX_HULL_VERTICES - 1}"
+        )
+    if spec.kind == HULL and not np.isfinite(spec.vertices).all():
+        raise InvalidInputError(f"shape {i}: a mesh vertex is not finite; give numbers [m]")

@@ -1,0 +1,1 @@
+"""Kinematics, task-space regions and projection onto them."""

@@ -1,0 +1,91 @@
+"""Forward kinematics of a tree of one-degree-of-freedom joints, on plain arrays.
+
+Joint frames are chosen so that every joint turns about, or slides along, its own z axis
+(`Robot` prepares them). Row 0 of every pose array is the world; joint j (0-based) is row j + 1.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import driver, inlined
+from cvqmpt_lab.kernels.manifold.trigonometry import sine_and_cosine
+
+
+class Kinematics(NamedTuple):
+    """A kinematic tree of n joints.
+
+    Attributes
+    ----------
+    parent: (n,) int64, pose row of the parent frame (0 = world, j + 1 = joint j).
+    rotation: (n, 3, 3), rotation of the joint frame in its parent frame at q = 0.
+    translation: (n, 3), origin of the joint frame in its parent frame at q = 0 [m].
+    prismatic: (n,) bool, True for a slider, False for a hinge.
+    lower, upper: (n,) joint limits [rad or m].
+    moves: (n, n + 1) bool, whether joint j moves pose row k.
+    """
+
+    parent: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    prismatic: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    moves: np.ndarray
+
+
+@inlined
+def forward_kinematics(kinematics, q, link_rotation, link_translation):
+    """Write the pose of every joint frame.
+
+    Parameters
+    ----------
+    q: (n,) joint values [rad or m].
+    link_rotation, link_translation: (n + 1, 3, 3) and (n + 1, 3) [m], overwritten; row 0 is the world.
+    """
+    turn, offset = kinematics.rotation, kinematics.translation
+    for a in range(3):
+        link_translation[0, a] = 0.0
+        for b in range(3):
+            link_rotation[0, a, b] = 1.0 if a == b else 0.0
+    for j in range(q.shape[0]):
+        up = kinematics.parent[j]
+        if kinematics.prismatic[j]:
+            cosine, sine, slide = 1.0, 0.0, q[j]
+        else:
+            sine, cosine = sine_and_cosine(q[j])
+            slide = 0.0
+        z0, z1, z2 = turn[j, 0, 2], turn[j, 1, 2], turn[j, 2, 2]
+        x0 = cosine * turn[j, 0, 0] + sine * turn[j, 0, 1]
+        x1 = cosine * turn[j, 1, 0] + sine * turn[j, 1, 1]
+        x2 = cosine * turn[j, 2, 0] + sine * turn[j, 2, 1]
+        y0 = cosine * turn[j, 0, 1] - sine * turn[j, 0, 0]
+        y1 = cosine * turn[j, 1, 1] - sine * turn[j, 1, 0]
+        y2 = cosine * turn[j, 2, 1] - sine * turn[j, 2, 0]
+        o0, o1, o2 = offset[j, 0] + slide * z0, offset[j, 1] + slide * z1, offset[j, 2] + slide * z2
+        for a in range(3):
+            r0, r1, r2 = link_rotation[up, a, 0], link_rotation[up, a, 1], link_rotation[up, a, 2]
+            link_rotation[j + 1, a, 0] = r0 * x0 + r1 * x1 + r2 * x2
+            link_rotation[j + 1, a, 1] = r0 * y0 + r1 * y1 + r2 * y2
+            link_rotation[j + 1, a, 2] = r0 * z0 + r1 * z1 + r2 * z2
+            link_translation[j + 1, a] = link_translation[up, a] + r0 * o0 + r1 * o1 + r2 * o2
+
+
+@driver
+def link_poses(kinematics, configurations):
+    """Poses of all joint frames for many configurations.
+
+    Parameters
+    ----------
+    configurations: (m, n).
+
+    Returns
+    -------
+    rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
+    """
+    m, n = configurations.shape
+    rotations = np.empty((m, n + 1, 3, 3))
+    translations = np.empty((m, n + 1, 3))
+    for i in range(m):
+        forward_kinematics(kinematics, configurations[i], rotations[i], translations[i])
+    return rotations, translations

@@ -1,0 +1,188 @@
+"""Newton projection onto a constraint manifold: the paper's Algorithm 1 with its missing inverse.
+
+    q <- q - J^T (J J^T)^-1 F(q),  until |F(q)| <= tolerance.
+
+Only rows outside their bounds enter a step (the others are zero), J J^T is damped a little so that
+zero and dependent rows do no harm. A joint that stands at a limit and would be pushed beyond it is held
+and the step computed again without it; what still leaves the limits is clipped.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import driver, inlined, thin
+from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
+from cvqmpt_lab.kernels.manifold.regions import Regions, jacobian, residual
+
+DAMPING = 1e-9  # relative to the trace of J J^T
+LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm
+
+
+class ProjectionScratch(NamedTuple):
+    """Work arrays: link poses; displacement (k, 9), residual (m,) and Jacobian (m, n) of the regions;
+    normal matrix (m, m), multiplier (m,) and step (n,) of Newton's method.
+    """
+
+    link_rotation: np.ndarray
+    link_translation: np.ndarray
+    displacement: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    normal: np.ndarray
+    multiplier: np.ndarray
+    step: np.ndarray
+
+
+def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
+    """Work arrays for n joints and the m bounded rows of regions."""
+    m = len(regions.axis)
+    return ProjectionScratch(
+        np.zeros((n + 1, 3, 3)),
+        np.zeros((n + 1, 3)),
+        np.zeros((len(regions.link), 9)),
+        np.zeros(m),
+        np.zeros((m, n)),
+        np.zeros((m, m)),
+        np.zeros(m),
+        np.zeros(n),
+    )
+
+
+@thin
+def _solve_normal_equations(scratch):
+    """Write (J J^T + damping)^-1 residual into scratch.multiplier by Cholesky factorisation."""
+    rows, normal, x = scratch.jacobian, scratch.normal, scratch.multiplier
+    m, n = rows.shape
+    trace = 0.0
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += rows[i, k] * rows[j, k]
+            normal[i, j] = total
+        trace += normal[i, i]
+    damping = DAMPING * trace + 1e-14
+    for i in range(m):
+        normal[i, i] += damping
+        for j in range(i + 1):
+            total = normal[i, j]
+            for k in range(j):
+                total -= normal[i, k] * normal[j, k]
+            if i == j:
+                normal[i, i] = np.sqrt(max(total, damping))
+            else:
+                normal[i, j] = total / normal[j, j]
+    for i in range(m):
+        x[i] = scratch.residual[i]
+        for k in range(i):
+            x[i] -= normal[i, k] * x[k]
+        x[i] /= normal[i, i]
+    for i in range(m - 1, -1, -1):
+        for k in range(i + 1, m):
+            x[i] -= normal[k, i] * x[k]
+        x[i] /= normal[i, i]
+
+
+@thin
+def newton_step(scratch, out):
+    """Write the minimum-norm step -J^T (J J^T)^-1 F into out (n,)."""
+    _solve_normal_equations(scratch)
+    m, n = scratch.jacobian.shape
+    square = 0.0
+    for j in range(n):
+        out[j] = 0.0
+        for i in range(m):
+            out[j] -= scratch.jacobian[i, j] * scratch.multiplier[i]
+        square += out[j] * out[j]
+    if square > LONGEST_STEP * LONGEST_STEP:
+        scale = LONGEST_STEP / np.sqrt(square)
+        for j in range(n):
+            out[j] *= scale
+
+
+@thin
+def _hold_joints_at_limits(kinematics, q, scratch):
+    """Take joints that stand at a limit and would leave it out of the Jacobian; whether there are any."""
+    found = False
+    for j in range(q.shape[0]):
+        below = q[j] <= kinematics.lower[j] and scratch.step[j] < 0.0
+        if below or (q[j] >= kinematics.upper[j] and scratch.step[j] > 0.0):
+            found = True
+            for i in range(scratch.jacobian.shape[0]):
+                scratch.jacobian[i, j] = 0.0
+    return found
+
+
+@inlined
+def project(kinematics, regions, q, tolerance, max_iterations, scratch):
+    """Move q (n,) in place onto the manifold and inside the joint limits.
+
+    Returns
+    -------
+    Newton iterations used, or -1 - iterations when |F| > tolerance after max_iterations.
+    On success scratch holds the link poses of q, ready for a collision check.
+    """
+    for j in range(q.shape[0]):
+        q[j] = min(max(q[j], kinematics.lower[j]), kinematics.upper[j])
+    rotation, translation = scratch.link_rotation, scratch.link_translation
+    iteration = 0
+    while True:
+        forward_kinematics(kinematics, q, rotation, translation)
+        square = residual(regions, rotation, translation, scratch.residual, scratch.displacement)
+        if square <= tolerance * tolerance:
+            return iteration
+        if iteration == max_iterations or not np.isfinite(square):
+            return -1 - iteration
+        jacobian(
+            kinematics,
+            regions,
+            rotation,
+            translation,
+            scratch.displacement,
+            False,
+            scratch.residual,
+            scratch.jacobian,
+        )
+        for _ in range(2):
+            newton_step(scratch, scratch.step)
+            if not _hold_joints_at_limits(kinematics, q, scratch):
+                break
+        for j in range(q.shape[0]):
+            q[j] = min(max(q[j] + scratch.step[j], kinematics.lower[j]), kinematics.upper[j])
+        iteration += 1
+
+
+@driver
+def project_batch(kinematics, regions, configurations, tolerance, max_iterations, scratch):
+    """Project every row of configurations (b, n) in place; returns iterations (b,), < 0 where it failed."""
+    iterations = np.empty(configurations.shape[0], np.int64)
+    for i in range(configurations.shape[0]):
+        iterations[i] = project(kinematics, regions, configurations[i], tolerance, max_iterations, scratch)
+    return iterations
+
+
+@driver
+def reach_poses(
+    kinematics, regions, rotations, translations, configurations, tolerance, max_iterations, scratch
+):
+    """Project configurations (k, a, n) in place onto one pose each: `regions` with its reference frame put there.
+
+    rotations, translations: (k, 3, 3) and (k, 3) [m], poses for the reference frame of the only region.
+
+    Returns
+    -------
+    Newton iterations (k, a), < 0 where a configuration did not get there.
+    """
+    k, a, _ = configurations.shape
+    iterations = np.empty((k, a), np.int64)
+    for i in range(k):
+        for row in range(3):
+            regions.reference_translation[0, row] = translations[i, row]
+            for column in range(3):
+                regions.reference_rotation[0, row, column] = rotations[i, row, column]
+        for attempt in range(a):
+            iterations[i, attempt] = project(
+                kinematics, regions, configurations[i, attempt], tolerance, max_iterations, scratch
+            )
+    return iterations

@@ -1,0 +1,231 @@
+"""Residual and Jacobian of stacked task-space regions, on plain arrays.
+
+A region bounds the pose of an end frame e seen from a reference frame w (Berenson et al. 2011):
+
+    T = (T0_w)^-1  T0_e  (Tw_e)^-1,    x = (translation of T, rotation logarithm of T),
+
+with residual = signed distance of x outside [lower, upper], zero inside. Several regions stack their
+rows: their intersection. No rows at all is the unconstrained problem.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import driver, inlined, thin
+from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
+from cvqmpt_lab.kernels.manifold.rotation import log_map_factor, rotation_vector
+
+
+class Regions(NamedTuple):
+    """k stacked regions with m bounded rows in all.
+
+    Attributes
+    ----------
+    link, base: (k,) int64, pose rows carrying the end frame and the reference frame (base 0 = world).
+    end_rotation, end_translation: (k, 3, 3), (k, 3): T_link_e (Tw_e)^-1.
+    reference_rotation, reference_translation: (k, 3, 3), (k, 3): T_base_w.
+    region: (m,) int64, region of each row; axis: (m,) int64, 0-2 position, 3-5 rotation vector; rows are
+        sorted by region, then axis.
+    lower, upper: (m,) bounds [m or rad].
+    """
+
+    link: np.ndarray
+    base: np.ndarray
+    end_rotation: np.ndarray
+    end_translation: np.ndarray
+    reference_rotation: np.ndarray
+    reference_translation: np.ndarray
+    region: np.ndarray
+    axis: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+@inlined
+def _turned(rotation, i, x, y, z):
+    """rotation[i] applied to (x, y, z)."""
+    return (
+        rotation[i, 0, 0] * x + rotation[i, 0, 1] * y + rotation[i, 0, 2] * z,
+        rotation[i, 1, 0] * x + rotation[i, 1, 1] * y + rotation[i, 1, 2] * z,
+        rotation[i, 2, 0] * x + rotation[i, 2, 1] * y + rotation[i, 2, 2] * z,
+    )
+
+
+@inlined
+def _turned_back(rotation, i, x, y, z):
+    """Transpose of rotation[i] applied to (x, y, z)."""
+    return (
+        rotation[i, 0, 0] * x + rotation[i, 1, 0] * y + rotation[i, 2, 0] * z,
+        rotation[i, 0, 1] * x + rotation[i, 1, 1] * y + rotation[i, 2, 1] * z,
+        rotation[i, 0, 2] * x + rotation[i, 1, 2] * y + rotation[i, 2, 2] * z,
+    )
+
+
+@inlined
+def _into_reference(regions, k, link_rotation, x, y, z):
+    """A world vector in the axes of reference frame w of region k."""
+    base = regions.base[k]
+    if base != 0:
+        x, y, z = _turned_back(link_rotation, base, x, y, z)
+    return _turned_back(regions.reference_rotation, k, x, y, z)
+
+
+@thin
+def _displacement(regions, k, link_rotation, link_translation):
+    """End point in the world (3), then displacement of region k: position (3), rotation vector (3)."""
+    link, base = regions.link[k], regions.base[k]
+    offset, origin = regions.end_translation, regions.reference_translation
+    x, y, z = _turned(link_rotation, link, offset[k, 0], offset[k, 1], offset[k, 2])
+    end = (
+        x + link_translation[link, 0],
+        y + link_translation[link, 1],
+        z + link_translation[link, 2],
+    )
+    x, y, z = _turned(link_rotation, base, origin[k, 0], origin[k, 1], origin[k, 2])
+    position = _into_reference(
+        regions,
+        k,
+        link_rotation,
+        end[0] - x - link_translation[base, 0],
+        end[1] - y - link_translation[base, 1],
+        end[2] - z - link_translation[base, 2],
+    )
+    turn = regions.end_rotation
+    a = _turned(link_rotation, link, turn[k, 0, 0], turn[k, 1, 0], turn[k, 2, 0])
+    b = _turned(link_rotation, link, turn[k, 0, 1], turn[k, 1, 1], turn[k, 2, 1])
+    c = _turned(link_rotation, link, turn[k, 0, 2], turn[k, 1, 2], turn[k, 2, 2])
+    vector = rotation_vector(
+        _into_reference(regions, k, link_rotation, a[0], a[1], a[2]),
+        _into_reference(regions, k, link_rotation, b[0], b[1], b[2]),
+        _into_reference(regions, k, link_rotation, c[0], c[1], c[2]),
+    )
+    return end, position, vector
+
+
+@thin
+def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, linear):
+    """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of joint j.
+
+    linear: whether the velocity is wanted; else it is zero.
+    """
+    with_link = kinematics.moves[j, regions.link[k]]
+    if with_link == kinematics.moves[j, regions.base[k]]:  # both or neither move
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    sign = 1.0 if with_link else -1.0
+    zx, zy, zz = (
+        sign * link_rotation[j + 1, 0, 2],
+        sign * link_rotation[j + 1, 1, 2],
+        sign * link_rotation[j + 1, 2, 2],
+    )
+    if kinematics.prismatic[j]:
+        return _into_reference(regions, k, link_rotation, zx, zy, zz), (0.0, 0.0, 0.0)
+    angular = _into_reference(regions, k, link_rotation, zx, zy, zz)
+    if not linear:
+        return (0.0, 0.0, 0.0), angular
+    dx = end[0] - link_translation[j + 1, 0]
+    dy = end[1] - link_translation[j + 1, 1]
+    dz = end[2] - link_translation[j + 1, 2]
+    velocity = _into_reference(
+        regions, k, link_rotation, zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
+    )
+    return velocity, angular
+
+
+@inlined
+def _pick(vector, axis):
+    """Component 0, 1 or 2 of a triple."""
+    return vector[0] if axis == 0 else (vector[1] if axis == 1 else vector[2])
+
+
+@inlined
+def residual(regions, link_rotation, link_translation, out, displacement):
+    """Write the residual (m,) into out; link poses come from forward_kinematics.
+
+    displacement: (k, 9), end point in the world, position and rotation vector of each region, for `jacobian`.
+
+    Returns
+    -------
+    The squared norm of the residual.
+    """
+    m = regions.region.shape[0]
+    first, square = 0, 0.0
+    for k in range(regions.link.shape[0]):
+        end, position, vector = _displacement(regions, k, link_rotation, link_translation)
+        for a in range(3):
+            displacement[k, a] = _pick(end, a)
+            displacement[k, 3 + a] = _pick(position, a)
+            displacement[k, 6 + a] = _pick(vector, a)
+        while first < m and regions.region[first] == k:
+            x = displacement[k, 3 + regions.axis[first]]
+            out[first] = min(x - regions.lower[first], 0.0) + max(x - regions.upper[first], 0.0)
+            square += out[first] * out[first]
+            first += 1
+    return square
+
+
+@thin
+def _log_map_rate(vector, factor, square, w):
+    """Jl^-1(vector) w: rate of the rotation vector of a frame turning with angular velocity w."""
+    dot = factor * (vector[0] * w[0] + vector[1] * w[1] + vector[2] * w[2])
+    rest = 1.0 - factor * square
+    return (
+        rest * w[0] + dot * vector[0] - 0.5 * (vector[1] * w[2] - vector[2] * w[1]),
+        rest * w[1] + dot * vector[1] - 0.5 * (vector[2] * w[0] - vector[0] * w[2]),
+        rest * w[2] + dot * vector[2] - 0.5 * (vector[0] * w[1] - vector[1] * w[0]),
+    )
+
+
+@inlined
+def jacobian(kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out):
+    """Write the Jacobian (m, n) of the residual into out.
+
+    displacement, out_of_bounds: what `residual` wrote for the same link poses.
+    full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
+    that tangent-space planners need).
+    """
+    n = kinematics.parent.shape[0]
+    m = regions.region.shape[0]
+    first = 0
+    for k in range(regions.link.shape[0]):
+        last, active = first, full
+        while last < m and regions.region[last] == k:
+            active = active or out_of_bounds[last] != 0.0
+            last += 1
+        if not active:
+            for row in range(first, last):
+                for j in range(n):
+                    out[row, j] = 0.0
+            first = last
+            continue
+        end = displacement[k, 0], displacement[k, 1], displacement[k, 2]
+        vector = displacement[k, 6], displacement[k, 7], displacement[k, 8]
+        factor, square = log_map_factor(vector)
+        bounds_position = regions.axis[first] < 3  # rows of a region are sorted by axis
+        for j in range(n):
+            v, w = _relative_velocity(
+                kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position
+            )
+            rate = _log_map_rate(vector, factor, square, w)
+            for row in range(first, last):
+                axis = regions.axis[row]
+                if out_of_bounds[row] == 0.0 and not full:
+                    out[row, j] = 0.0
+                else:
+                    out[row, j] = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
+        first = last
+
+
+@driver
+def batch_residual_and_jacobian(kinematics, regions, configurations, full):
+    """Residuals (b, m) and Jacobians (b, m, n) of configurations (b, n)."""
+    b, n = configurations.shape
+    m = regions.region.shape[0]
+    rotation, translation = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    displacement = np.empty((regions.link.shape[0], 9))
+    residuals, jacobians = np.zeros((b, m)), np.zeros((b, m, n))
+    for i in range(b):
+        forward_kinematics(kinematics, configurations[i], rotation, translation)
+        residual(regions, rotation, translation, residuals[i], displacement)
+        jacobian(kinematics, regions, rotation, translation, displacement, full, residuals[i], jacobians[i])
+    return residuals, jacobians

@@ -1,0 +1,1 @@
+"""Motions, tree growth, lazy roadmap and shortcuts on a space's arrays."""

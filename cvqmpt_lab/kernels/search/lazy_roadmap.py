@@ -1,0 +1,250 @@
+"""Shortest paths on a roadmap whose nodes are put on the manifold, and checked, only when a path needs them.
+
+A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node and edge that
+has not been found blocked. The nodes of the path it returns are projected and checked, then its edges, coarsely;
+what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
+from cvqmpt_lab.kernels.search.motion import bisect_motion, distance
+from cvqmpt_lab.kernels.search.space_arrays import project_state, state_valid
+
+UNKNOWN, FREE, BLOCKED = range(3)
+NO_PATH = 0  # instead of a number of states
+FARTHEST = (
+    np.inf
+)  # [rad] a motion on the manifold may be this long; its neighbours' distance is limited anyway
+
+
+class Roadmap(NamedTuple):
+    """N nodes, a start and G goals, and room for searches.
+
+    Attributes
+    ----------
+    nodes: (N + 1 + G, n) configurations; row N is the start, the last G are goals. Projected in place.
+    neighbours: (N + 1, K) int32, nodes that a row leads to, or -1. edge: (N + 1, K) int8, verdicts.
+    goal_edge: (N + 1, G) int8, verdicts on the edges from each row to each goal; BLOCKED where there is none.
+    node: (N + 1 + G,) int8, verdicts. factor: (N + 1 + G,) >= 1, how much longer edges at a node count.
+    to_go: (N + 1 + G,) distance to the nearest goal [rad].
+    cost, parent, slot, closed: (N + 1 + G,) work of a search; heap, heap_node: (m,) its queue.
+    """
+
+    nodes: np.ndarray
+    neighbours: np.ndarray
+    edge: np.ndarray
+    goal_edge: np.ndarray
+    node: np.ndarray
+    factor: np.ndarray
+    to_go: np.ndarray
+    cost: np.ndarray
+    parent: np.ndarray
+    slot: np.ndarray
+    closed: np.ndarray
+    heap: np.ndarray
+    heap_node: np.ndarray
+
+
+@inlined
+def _push(keys, values, size, key, value):
+    """Put (key, value) into the binary heap of size entries."""
+    i = size
+    while i > 0 and keys[(i - 1) // 2] > key:
+        up = (i - 1) // 2
+        keys[i], values[i] = keys[up], values[up]
+        i = up
+    keys[i], values[i] = key, value
+
+
+@inlined
+def _drop_smallest(keys, values, size):
+    """Take the first of size entries out of the binary heap."""
+    last = size - 1
+    key, value = keys[last], values[last]
+    i = 0
+    while 2 * i + 1 < last:
+        child = 2 * i + 1
+        if child + 1 < last and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[i], values[i] = keys[child], values[child]
+        i = child
+    keys[i], values[i] = key, value
+
+
+@kernel
+def nearest_nodes(nodes, count, target, chosen, squares):
+    """Write the indices of the chosen.shape[0] rows nearest to target (n,) among the first count, closest first.
+
+    squares: (chosen.shape[0],), their squared distances.
+    """
+    k, found = chosen.shape[0], 0
+    for i in range(count):
+        square = 0.0
+        for j in range(target.shape[0]):
+            square += (nodes[i, j] - target[j]) * (nodes[i, j] - target[j])
+        if found == k and square >= squares[k - 1]:
+            continue
+        place = found if found < k else k - 1
+        while place > 0 and squares[place - 1] > square:
+            squares[place], chosen[place] = squares[place - 1], chosen[place - 1]
+            place -= 1
+        squares[place], chosen[place] = square, i
+        found = min(found + 1, k)
+
+
+@kernel
+def link_query(roadmap, direct, chosen, squares):
+    """Link the start and every goal to their chosen.shape[0] nearest nodes, the start also to its nearest goals.
+
+    direct: how many goals the start may lead to at once. chosen, squares: int32 and float work arrays.
+    """
+    goals = roadmap.goal_edge.shape[1]
+    count = roadmap.nodes.shape[0] - 1 - goals
+    for i in range(roadmap.nodes.shape[0]):
+        roadmap.to_go[i] = np.inf
+        for g in range(goals):
+            roadmap.to_go[i] = min(roadmap.to_go[i], distance(roadmap.nodes[i], roadmap.nodes[count + 1 + g]))
+    nearest_nodes(roadmap.nodes, count, roadmap.nodes[count], chosen, squares)
+    for slot in range(chosen.shape[0]):
+        roadmap.neighbours[count, slot] = chosen[slot]
+    for g in range(goals):
+        closer = 0
+        gap = distance(roadmap.nodes[count], roadmap.nodes[count + 1 + g])
+        for other in range(goals):
+            closer += distance(roadmap.nodes[count], roadmap.nodes[count + 1 + other]) < gap
+        for i in range(count + 1):
+            roadmap.goal_edge[i, g] = BLOCKED
+        if closer < direct:
+            roadmap.goal_edge[count, g] = UNKNOWN
+        nearest_nodes(roadmap.nodes, count, roadmap.nodes[count + 1 + g], chosen, squares)
+        for slot in range(chosen.shape[0]):
+            roadmap.goal_edge[chosen[slot], g] = UNKNOWN
+
+
+@kernel
+def _astar(roadmap):
+    """Row of the goal that the shortest believed path leads to, or -1; parent and slot hold the path."""
+    goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
+    start = roadmap.nodes.shape[0] - 1 - goals
+    for i in range(roadmap.nodes.shape[0]):
+        roadmap.cost[i], roadmap.parent[i], roadmap.closed[i] = np.inf, -1, 0
+    roadmap.cost[start] = 0.0
+    heap, heap_node = roadmap.heap, roadmap.heap_node
+    _push(heap, heap_node, 0, roadmap.to_go[start], start)
+    size = 1
+    while size > 0:
+        here = np.int64(heap_node[0])
+        _drop_smallest(heap, heap_node, size)
+        size -= 1
+        if roadmap.closed[here]:
+            continue
+        roadmap.closed[here] = 1
+        if here > start:
+            return here
+        for slot in range(k + goals):
+            there = np.int64(roadmap.neighbours[here, slot]) if slot < k else start + 1 + slot - k
+            verdict = roadmap.edge[here, slot] if slot < k else roadmap.goal_edge[here, slot - k]
+            if there < 0 or verdict == BLOCKED or roadmap.node[there] == BLOCKED or roadmap.closed[there]:
+                continue
+            weight = 0.5 * (roadmap.factor[here] + roadmap.factor[there])
+            cost = roadmap.cost[here] + weight * distance(roadmap.nodes[here], roadmap.nodes[there])
+            if cost < roadmap.cost[there] and size < heap.shape[0]:
+                roadmap.cost[there], roadmap.parent[there], roadmap.slot[there] = cost, here, slot
+                _push(heap, heap_node, size, cost + roadmap.to_go[there], there)
+                size += 1
+    return -1
+
+
+@thin
+def _node_free(space, roadmap, i, drift):
+    """Put node i on the manifold, not further than drift [rad], and check it; the verdict is kept."""
+    if roadmap.node[i] == UNKNOWN:
+        for j in range(roadmap.nodes.shape[1]):
+            space.state[j] = roadmap.nodes[i, j]
+        free = project_state(space, roadmap.nodes[i]) and distance(space.state, roadmap.nodes[i]) <= drift
+        roadmap.node[i] = FREE if free and state_valid(space, roadmap.nodes[i]) else BLOCKED
+    return roadmap.node[i] == FREE
+
+
+@thin
+def _block_edge(roadmap, a, b):
+    """Block the edge on which the last search came from row a to row b, and the same edge backwards."""
+    slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
+    if slot >= k:
+        roadmap.goal_edge[a, slot - k] = BLOCKED
+        return
+    roadmap.edge[a, slot] = BLOCKED
+    for other in range(k):
+        if roadmap.neighbours[b, other] == a:
+            roadmap.edge[b, other] = BLOCKED
+
+
+@kernel
+def search(space, roadmap, most_searches, drift, check, path, ends, states):
+    """Write the states of the shortest path found that holds, coarsely, into states (m, n).
+
+    Parameters
+    ----------
+    drift: nodes that projection moves further than this are left out [rad].
+    check: otherwise no node and no edge is projected or checked, and the path is one of believed nodes.
+    path, ends: (p,) int64, rows of the path's nodes from goal to start, and where each edge's states end.
+    states: (m, n); motions between them are not checked yet.
+
+    Returns
+    -------
+    Number of states, or NO_PATH when there is no path left, none within most_searches, or no room.
+    Number of nodes on the last believed path. Number of searches.
+    """
+    n, length = roadmap.nodes.shape[1], 0
+    for searched in range(most_searches):
+        row, length = _astar(roadmap), 0
+        while row >= 0 and length < path.shape[0]:
+            path[length] = row
+            length += 1
+            row = np.int64(roadmap.parent[row])
+        if length == 0 or row >= 0:
+            return NO_PATH, 0, searched + 1
+        good = True
+        for i in range(length - 2, 0, -1):
+            if check and good and not _node_free(space, roadmap, path[i], drift):
+                good = False
+        if not good:
+            continue
+        size = 1
+        for j in range(n):
+            states[0, j] = roadmap.nodes[path[length - 1], j]
+        for i in range(length - 2, -1, -1):
+            a, b = path[i + 1], path[i]
+            if check:
+                added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], FARTHEST, states[size:])
+            else:
+                added = 1
+                for j in range(n):
+                    states[size, j] = roadmap.nodes[b, j]
+            if added == 0:
+                _block_edge(roadmap, a, b)
+                good = False
+                break
+            size += added
+            ends[i] = size
+        if not good:
+            continue
+        return size, length, searched + 1
+    return NO_PATH, length, most_searches
+
+
+@kernel
+def block_state(roadmap, path, ends, length, state):
+    """Block the edge of the path last found that the motion behind one of its states belongs to.
+
+    path, ends, length: as `search` wrote and returned them.
+    """
+    for i in range(length - 2, -1, -1):
+        if state + 1 < ends[i]:
+            _block_edge(roadmap, path[i + 1], path[i])
+            return

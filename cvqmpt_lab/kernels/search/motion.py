@@ -1,0 +1,232 @@
+"""Motions on the constraint manifold: one projected step, and the fine check of a finished motion."""
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
+from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
+from cvqmpt_lab.kernels.manifold.regions import residual
+from cvqmpt_lab.kernels.search.space_arrays import posed_state_valid, project_state
+
+STOPPED, ADVANCED, REACHED = range(3)
+DEVIATION = (
+    2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
+)
+GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
+CHORD = 6e-4  # [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the rim
+MOST_HALVINGS = 8
+NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
+SLIVER = 5e-5  # [m] motions are not looked at more finely than this
+CLOSE = 1e-9  # [rad] two states closer than this are one
+
+
+@inlined
+def distance(a, b):
+    """Euclidean distance of two configurations (n,) [rad]."""
+    square = 0.0
+    for j in range(a.shape[0]):
+        square += (a[j] - b[j]) * (a[j] - b[j])
+    return np.sqrt(square)
+
+
+@kernel
+def step_towards(space, origin, target, allowance, out):
+    """One step of ConstrainedExtend (paper, Algorithm 3): move, project, check.
+
+    Parameters
+    ----------
+    origin, target: (n,). allowance: how much longer the motion may still become [rad].
+    out: (n,), the new state when the result is not STOPPED.
+
+    Returns
+    -------
+    STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further than
+    DEVIATION * step, exceeds the allowance, does not come closer to the target, or collides.
+    """
+    n = origin.shape[0]
+    remaining = distance(origin, target)
+    fraction = min(1.0, space.step / remaining)
+    for j in range(n):
+        out[j] = origin[j] + fraction * (target[j] - origin[j])
+    if not project_state(space, out):
+        return STOPPED
+    moved = distance(origin, out)
+    left = distance(out, target)
+    if moved > DEVIATION * space.step or moved > allowance or left >= remaining or moved < CLOSE:
+        return STOPPED
+    if not posed_state_valid(space, out, 0.0):
+        return STOPPED
+    return REACHED if left < CLOSE else ADVANCED
+
+
+@kernel
+def bisect_motion(space, origin, target, longest, out):
+    """Join origin and target on the manifold by projected midpoints, coarse to fine, so that failure is early.
+
+    Parameters
+    ----------
+    longest: give up when the motion becomes longer than this [rad].
+    out: (k, n) room for the states after origin, the last of which is target.
+
+    Returns
+    -------
+    Number of states written, or 0 when a state cannot be projected, collides, or lies too far from its neighbour.
+    """
+    pieces = 1
+    while distance(origin, target) > GAP * space.step * pieces:
+        pieces *= 2
+    if pieces > out.shape[0]:
+        return 0
+    for j in range(target.shape[0]):
+        out[pieces - 1, j] = target[j]
+    stride = pieces
+    while stride > 1:
+        half = stride // 2
+        for k in range(half, pieces, stride):  # state k lies in row k - 1
+            for j in range(target.shape[0]):
+                left = origin[j] if k == half else out[k - half - 1, j]
+                out[k - 1, j] = 0.5 * (left + out[k + half - 1, j])
+            if not project_state(space, out[k - 1]) or not posed_state_valid(space, out[k - 1], 0.0):
+                return 0
+        stride = half
+    length = distance(origin, out[0])
+    if length > DEVIATION * space.step:
+        return 0
+    for k in range(1, pieces):
+        gap = distance(out[k - 1], out[k])
+        length += gap
+        if gap > DEVIATION * space.step or length > longest:
+            return 0
+    return pieces
+
+
+@thin
+def _place_between(space, a, b, fraction):
+    """Put the state at a fraction of the straight joint motion from a to b into space.state; pose its links."""
+    for j in range(a.shape[0]):
+        space.state[j] = a[j] + fraction * (b[j] - a[j])
+    forward_kinematics(
+        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
+    )
+
+
+@thin
+def _near_half_turn(space):
+    """Whether a region of the state whose residual was asked last is turned by almost pi."""
+    displacement = space.scratch.displacement
+    for k in range(displacement.shape[0]):
+        x, y, z = displacement[k, 6], displacement[k, 7], displacement[k, 8]
+        if x * x + y * y + z * z > NEAR_HALF_TURN * NEAR_HALF_TURN:
+            return True
+    return False
+
+
+@kernel
+def chord_on_manifold(space, a, b):
+    """Whether the straight joint motion between two states on the manifold stays within CHORD of it.
+
+    The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the motion is
+    looked at every space.resolution.
+    """
+    scratch = space.scratch
+    if scratch.residual.shape[0] == 0:
+        return True
+    k, pieces = 1, 2
+    while k < pieces:
+        _place_between(space, a, b, k / pieces)
+        violation = residual(
+            space.regions,
+            scratch.link_rotation,
+            scratch.link_translation,
+            scratch.residual,
+            scratch.displacement,
+        )
+        if violation > CHORD * CHORD:
+            return False
+        k += 1
+        if pieces == 2 and _near_half_turn(space):
+            k, pieces = 1, max(3, int(np.ceil(distance(a, b) / space.resolution)))
+    return True
+
+
+@kernel
+def motion_free(space, a, b):
+    """Whether b and the straight joint motion towards it are free of collision, every state of it.
+
+    A stretch is free when the robot at its middle keeps a distance that no point of it can cover in half
+    the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until that distance
+    is as small as the margin, which every free state keeps. The exact backend, which knows no distances,
+    checks states every space.resolution.
+    """
+    pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
+    for j in range(a.shape[0]):
+        sweep += abs(b[j] - a[j]) * space.swing[j]
+    if not sweep < np.inf:
+        return False
+    if space.exact:
+        while distance(a, b) > space.resolution * pieces:
+            pieces *= 2
+    else:
+        while 0.5 * sweep > max(space.margin, SLIVER) * pieces:
+            pieces *= 2
+    widest = 1 if space.exact else pieces
+    done, span = -1, 1  # pieces found free, after the end itself; length of the stretch looked at
+    while done < pieces:
+        place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
+        clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
+        free = clearance <= space.scene.reach - space.robot.largest or span == 1
+        if free:
+            _place_between(space, a, b, place)
+            free = posed_state_valid(space, space.state, clearance)
+        if free:
+            done += span
+            span = min(done & -done, widest) if done > 0 else widest  # as far as the tree of halves allows
+        elif span == 1:
+            return False
+        else:
+            span //= 2
+    return True
+
+
+@thin
+def segment_valid(space, a, b):
+    """Whether the straight joint motion between a and b stays close to the manifold and is free."""
+    return chord_on_manifold(space, a, b) and motion_free(space, a, b)
+
+
+@kernel
+def refine_and_check(space, states, count, out):
+    """Copy a path into out (k, n), with projected states put in until every straight motion is short and good.
+
+    Parameters
+    ----------
+    states: (m, n), first count rows the path.
+
+    Returns
+    -------
+    written: number of states in out. bad: first segment of the given path that cannot be mended or
+    is not free, or -1.
+    """
+    n = states.shape[1]
+    for j in range(n):
+        out[0, j] = states[0, j]
+    written, i = 1, 1
+    while i < count:
+        if written >= out.shape[0]:
+            return written, i - 1
+        for j in range(n):
+            out[written, j] = states[i, j]
+        halvings = 0
+        while distance(out[written - 1], out[written]) > DEVIATION * space.step or not chord_on_manifold(
+            space, out[written - 1], out[written]
+        ):
+            for j in range(n):
+                out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
+            halvings += 1
+            if halvings > MOST_HALVINGS or not project_state(space, out[written]):
+                return written, i - 1
+        if not motion_free(space, out[written - 1], out[written]):
+            return written, i - 1
+        written += 1
+        if halvings == 0:
+            i += 1
+    return written, -1

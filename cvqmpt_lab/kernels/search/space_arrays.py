@@ -1,0 +1,158 @@
+"""The planning space as the kernels see it: one bundle of arrays, and the check of one state.
+
+Collision is answered by the compiled checker, or, when `exact` is set, by a callback into Python
+(coal): the planners above are the same compiled code with either.
+"""
+
+import ctypes
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
+from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
+from cvqmpt_lab.kernels.compiling import kernel, thin
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
+from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, project
+from cvqmpt_lab.kernels.manifold.regions import Regions
+
+PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of Space.counters
+DOUBT = 0.2  # [rad] around a doubtful configuration
+
+
+class StateCheck:
+    """A Python function ``valid(q) -> bool`` that compiled code calls by address, on the shared array `query`.
+
+    An exception inside it cannot cross compiled code: it is kept, the state counts as invalid, and
+    `reraise` throws it once the kernel has returned. The object must outlive its use.
+    """
+
+    def __init__(self, valid: Callable[[np.ndarray], bool] | None, query: np.ndarray) -> None:
+        self.error: BaseException | None = None
+
+        def call() -> bool:
+            if valid is None or self.error is not None:
+                return False
+            try:
+                return bool(valid(query))
+            except BaseException as error:
+                self.error = error
+                return False
+
+        self._callback = ctypes.CFUNCTYPE(ctypes.c_bool)(call)
+        self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def reraise(self) -> None:
+        """Throw what the function threw, if it did."""
+        if self.error is not None:
+            error, self.error = self.error, None
+            raise error
+
+
+@intrinsic
+def _call(typing_context, address):
+    """Call the C function ``bool f()`` at an address."""
+
+    def generate(context, builder, signature, arguments):
+        function = ir.FunctionType(ir.IntType(8), [])
+        pointer = builder.inttoptr(arguments[0], function.as_pointer())
+        return builder.icmp_unsigned("!=", builder.call(pointer, []), ir.IntType(8)(0))
+
+    return types.boolean(types.int64), generate
+
+
+class Space(NamedTuple):
+    """Everything a planning kernel needs.
+
+    Attributes
+    ----------
+    tolerance: of |F| after projection; max_iterations: Newton steps per projection.
+    step: longest motion between neighbouring states [rad]; margin: kept from obstacles [m].
+    resolution: spacing of the final collision check of a motion [rad].
+    exact, check, query: use the callback, its address, and the array through which it is asked. (Were the
+        callback itself in here, numba would take half a millisecond to find out the types of a call.)
+    doubtful: (k, n) configurations that the compiled checker blocks but the meshes allow: near them a
+        state that it calls colliding is asked for again through the callback.
+    swing: (n,) no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad].
+    counters: (4,) int64, rows PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS.
+    state: (n,) work array.
+    """
+
+    kinematics: Kinematics
+    regions: Regions
+    robot: RobotGeometry
+    scene: SceneGeometry
+    tolerance: float
+    max_iterations: int
+    step: float
+    resolution: float
+    margin: float
+    exact: bool
+    check: int
+    query: np.ndarray
+    doubtful: np.ndarray
+    swing: np.ndarray
+    counters: np.ndarray
+    state: np.ndarray
+    scratch: ProjectionScratch
+
+
+@thin
+def project_state(space, q):
+    """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
+    iterations = project(
+        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
+    )
+    if space.scratch.residual.shape[0] > 0:
+        space.counters[PROJECTIONS] += 1
+        space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
+    return iterations >= 0
+
+
+@thin
+def _near_doubtful(space, q):
+    """Whether q (n,) lies within DOUBT of a doubtful configuration."""
+    for i in range(space.doubtful.shape[0]):
+        square = 0.0
+        for j in range(q.shape[0]):
+            square += (q[j] - space.doubtful[i, j]) * (q[j] - space.doubtful[i, j])
+        if square < DOUBT * DOUBT:
+            return True
+    return False
+
+
+@thin
+def posed_state_valid(space, q, clearance):
+    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact: the margin)."""
+    space.counters[STATE_CHECKS] += 1
+    if not space.exact:
+        geometry, _ = first_contact(
+            space.scratch.link_rotation,
+            space.scratch.link_translation,
+            space.robot,
+            space.scene,
+            space.margin + clearance,
+        )
+        if geometry == FREE or clearance > 0.0 or not _near_doubtful(space, q):
+            return geometry == FREE
+    for j in range(q.shape[0]):
+        space.query[j] = q[j]
+    return _call(space.check)
+
+
+@thin
+def state_valid(space, q):
+    """Whether q (n,) is free of collision."""
+    forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
+    return posed_state_valid(space, q, 0.0)
+
+
+@kernel
+def states_valid(space, configurations, out):
+    """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
+    for i in range(configurations.shape[0]):
+        out[i] = state_valid(space, configurations[i])

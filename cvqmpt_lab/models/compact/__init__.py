@@ -1,0 +1,1 @@
+"""The compact sequence model, its heads and its inference."""

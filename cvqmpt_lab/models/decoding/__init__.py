@@ -1,0 +1,1 @@
+"""Code sequences from any sequence model: beam search and sampling."""

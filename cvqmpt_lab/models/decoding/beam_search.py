@@ -1,0 +1,223 @@
+"""From a sequence model to code sequences: beam search (paper, eqn. prob_eqn) and sampling."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.models.decoding.step_decoder import StepDecoder
+
+Scoring = Literal["log-probability", "published"]
+
+
+@dataclass(frozen=True)
+class CodeSequence:
+    """A predicted sequence.
+
+    Attributes
+    ----------
+    codes: without start and goal token.
+    finished: the goal token was predicted; False when the length limit came first, and then the codes
+        lead nowhere in particular: the caller decides what to do, and says so.
+    log_probability: of the codes, and of the goal token when finished [nats].
+    score: what the search ranked by; the log probability unless the scoring is ``published``.
+    """
+
+    codes: tuple[int, ...]
+    finished: bool
+    log_probability: float
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Beams:
+    """The hypotheses of q queries, k each: codes (q, k, t), scores and log probabilities (q, k)."""
+
+    codes: np.ndarray
+    score: np.ndarray
+    log_probability: np.ndarray
+
+    def sequence(self, query: int, rank: int, goal: int) -> CodeSequence:
+        """One hypothesis up to its goal token; a finished one may have been padded with further ones."""
+        codes = self.codes[query, rank].tolist()
+        return CodeSequence(
+            tuple(code for code in codes if code != goal),
+            goal in codes,
+            float(self.log_probability[query, rank]),
+            float(self.score[query, rank]),
+        )
+
+
+def beam_search(
+    decoder: StepDecoder, *, beams: int = 3, max_length: int = 50, scoring: Scoring = "log-probability"
+) -> list[CodeSequence]:
+    """Search the most probable sequence of each query, all queries in one batch.
+
+    ``log-probability`` maximises the product of probabilities. A hypothesis that predicts the goal
+    token stays among the beams as it is; since extending the others only lowers them, the search of a
+    query ends when such a one ranks first. A beam never repeats its last code. At the length limit the
+    best hypothesis that is finished is returned; when none is, the best one, with `finished` False.
+
+    ``published`` scores as the published code does: the logarithm of the first probability, then sums of
+    plain probabilities; the last code of any beam is forbidden to all of them; the search ends at the
+    first step in which any beam predicts the goal token, and the best of those is returned. What is not
+    copied is that the published code then reads embeddings that were not reordered with the beams.
+
+    The first prediction is never the goal token, and none is the start token.
+
+    Parameters
+    ----------
+    decoder
+        Fresh, for all queries.
+    beams
+        Hypotheses kept per query.
+    max_length
+        Predicted tokens at most, the goal token included (published code: 50 for CVQ-MPT, 30 for
+        Opt-CVQ-MPT).
+
+    Returns
+    -------
+    One sequence per query.
+
+    Raises
+    ------
+    InvalidInputError, UnknownChoiceError
+        For a length or beam count below 1, more beams than codes, an unknown scoring, or logits that are
+        not finite.
+    """
+    if scoring not in get_args(Scoring):
+        raise UnknownChoiceError("scoring", scoring, get_args(Scoring))
+    log_p = _first_log_probabilities(decoder, max_length)
+    queries, classes = log_p.shape
+    goal = classes - 1
+    if not 1 <= beams <= classes - 2:
+        raise InvalidInputError(f"{beams} beams; give 1 to {classes - 2}")
+    codes, score = _largest(log_p, beams)
+    hypotheses = _Beams(codes[..., None], score, score)
+    first_row = beams * np.arange(queries)[:, None]
+    parents: np.ndarray | None = np.arange(queries).repeat(beams)
+    best = [0] * queries
+    found: dict[int, CodeSequence] = {}
+    for _ in range(max_length - 1):
+        latest = hypotheses.codes[..., -1].ravel()
+        logits = decoder.advance(parents, np.where(latest == goal, 0, latest))
+        hypotheses, rank_of = _extend(hypotheses, _log_probabilities(logits, (queries, beams)), scoring)
+        parents = (rank_of + first_row).ravel()
+        for query, ended in enumerate((hypotheses.codes[..., -1] == goal).tolist()):
+            best[query] = ended.index(True) if True in ended else 0
+            is_over = ended[0] if scoring == "log-probability" else True in ended
+            if is_over and query not in found:
+                found[query] = hypotheses.sequence(query, best[query], goal)
+        if len(found) == queries:
+            break
+    return [
+        found[query] if query in found else hypotheses.sequence(query, best[query], goal)
+        for query in range(queries)
+    ]
+
+
+def _extend(hypotheses: _Beams, log_p: np.ndarray, scoring: Scoring) -> tuple[_Beams, np.ndarray]:
+    """Best continuations and the ranks (q, k) they continue; log_p (q, k, classes), overwritten."""
+    queries, beams, classes = log_p.shape
+    latest = hypotheses.codes[..., -1]
+    query = np.arange(queries)[:, None]
+    if scoring == "published":
+        gain = np.exp(log_p)
+        gain.swapaxes(1, 2)[query, latest] = -np.inf
+    else:
+        ended = latest == classes - 1
+        if ended.any():  # a finished hypothesis goes on as it is, for nothing
+            log_p[ended] = -np.inf
+            log_p[ended, -1] = 0.0
+        log_p[query, np.arange(beams), np.where(ended, classes - 2, latest)] = -np.inf
+        gain = log_p
+    flat, score = _largest((hypotheses.score[..., None] + gain).reshape(queries, -1), beams)
+    rank, code = np.divmod(flat, classes)
+    log_probability = hypotheses.log_probability[query, rank] + log_p[query, rank, code]
+    codes = np.concatenate((hypotheses.codes[query, rank], code[..., None]), axis=2)
+    return _Beams(codes, score, log_probability), rank
+
+
+def sample_sequences(
+    decoder: StepDecoder,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    temperature: float = 1.0,
+    max_length: int = 50,
+) -> list[tuple[CodeSequence, ...]]:
+    """Draw sequences code by code, for the union of several; all queries in one batch.
+
+    Immediate repeats, a goal token at first and the start token are never drawn. Parameters as in
+    `beam_search`; `count` sequences for each query; at a low `temperature` the likeliest codes prevail.
+
+    Returns
+    -------
+    `count` sequences per query, in the order drawn; `score` is the log probability at temperature 1.
+
+    Raises
+    ------
+    InvalidInputError
+        For a count or length below 1, a temperature that is not positive, or logits that are not finite.
+    """
+    if count < 1 or not temperature > 0.0:
+        raise InvalidInputError(f"{count} sequences at temperature {temperature}; give at least 1, above 0")
+    log_p = _first_log_probabilities(decoder, max_length).repeat(count, axis=0)
+    rows, classes = log_p.shape
+    goal, row = classes - 1, np.arange(rows)
+    total, ended = np.zeros(rows), np.zeros(rows, dtype=bool)
+    drawn: list[np.ndarray] = []
+    for step in range(max_length):
+        if step > 0:
+            parents = row // count if step == 1 else None
+            logits = decoder.advance(parents, np.where(ended, 0, drawn[-1]))
+            log_p = _log_probabilities(logits, (rows,))
+            log_p[row, np.where(ended, classes - 2, drawn[-1])] = -np.inf
+        code = np.where(ended, goal, _draw(log_p / temperature, rng))
+        total += np.where(ended, 0.0, log_p[row, code])
+        drawn.append(code)
+        ended = code == goal
+        if ended.all():
+            break
+    sequences = []
+    for codes, log_probability in zip(np.stack(drawn, axis=1).tolist(), total.tolist(), strict=True):
+        kept = tuple(code for code in codes if code != goal)
+        sequences.append(CodeSequence(kept, goal in codes, log_probability, log_probability))
+    return [tuple(sequences[i : i + count]) for i in range(0, rows, count)]
+
+
+def _draw(logits: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Columns (r,) drawn from the softmax of each row (r, n)."""
+    cumulated = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1, dtype=np.float64)
+    total = cumulated[:, -1:]
+    threshold = np.minimum(rng.random((len(logits), 1)) * total, np.nextafter(total, 0.0))
+    return (cumulated <= threshold).sum(axis=1)
+
+
+def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and values (q, count) of the largest in each row (q, n), largest first; ties by column."""
+    columns = np.sort(np.argpartition(values, -count, axis=1)[:, -count:], axis=1)
+    row = np.arange(len(values))[:, None]
+    columns = columns[row, np.argsort(-values[row, columns], axis=1, kind="stable")]
+    return columns, values[row, columns]
+
+
+def _first_log_probabilities(decoder: StepDecoder, max_length: int) -> np.ndarray:
+    """Log probabilities (queries, classes) of the first code, the goal token left out."""
+    if max_length < 1:
+        raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")
+    logits = decoder.start()
+    if not np.isfinite(logits).all():
+        raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
+    log_p = _log_probabilities(logits, (len(logits),))
+    log_p[:, -1] = -np.inf
+    return log_p
+
+
+def _log_probabilities(logits: np.ndarray, rows: tuple[int, ...]) -> np.ndarray:
+    """Log probabilities (*rows, classes), the start token left out."""
+    log_p = logits - logits.max(axis=1, keepdims=True)
+    log_p -= np.log(np.exp(log_p).sum(axis=1, keepdims=True))
+    log_p[:, -2] = -np.inf
+    return log_p.reshape(*rows, -1)

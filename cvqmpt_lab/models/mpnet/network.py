@@ -1,0 +1,146 @@
+"""MPNet: one network encodes the cloud, another proposes the next configuration on the way to the goal."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
+from cvqmpt_lab.models.weights_folder import RobotSignature, load_part, read_description, write_weights
+
+ARCHITECTURE = "mpnet"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MPNetConfig:
+    """Sizes; defaults are those of the published 7-joint model.
+
+    Attributes
+    ----------
+    n_points: points of a cloud, drawn at random from what there is.
+    encoder_widths: hidden layers of the cloud encoder.
+    code_dim: of an encoded cloud.
+    planner_widths: hidden layers of the planner.
+    dropout: probability to drop a unit, after every hidden layer of the planner but the last.
+    """
+
+    joint_dim: int = 7
+    n_points: int = 4120
+    encoder_widths: tuple[int, ...] = (786, 512, 256)
+    code_dim: int = 60
+    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
+    dropout: float = 0.5
+
+
+class Dropout(nn.Module):
+    """Dropout that can stay on after training, and can draw from a generator."""
+
+    def __init__(self, probability: float) -> None:
+        super().__init__()
+        self.probability = probability
+
+    def forward(self, x: Tensor, active: bool, generator: torch.Generator | None) -> Tensor:
+        """Drop units of x and scale up the others, when active."""
+        if not active or self.probability == 0.0:
+            return x
+        kept = torch.rand(x.shape, generator=generator, device=x.device) >= self.probability
+        return x * kept / (1.0 - self.probability)
+
+
+class MPNet(nn.Module):
+    """Cloud encoder and planner; configurations are normalised to [-1, 1], unlike in VQ-MPT."""
+
+    def __init__(self, config: MPNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        encoder: list[nn.Module] = []
+        widths = (3 * config.n_points, *config.encoder_widths)
+        for before, after in zip(widths, config.encoder_widths, strict=False):
+            encoder += [nn.Linear(before, after), nn.PReLU()]
+        self.encoder = nn.Sequential(*encoder, nn.Linear(widths[-1], config.code_dim))
+        widths = (config.code_dim + 2 * config.joint_dim, *config.planner_widths)
+        self.hidden = nn.ModuleList(
+            nn.Sequential(nn.Linear(before, after), nn.PReLU())
+            for before, after in zip(widths, config.planner_widths, strict=False)
+        )
+        self.dropout = Dropout(config.dropout)
+        self.out = nn.Linear(widths[-1], config.joint_dim)
+
+    def encode(self, points: Tensor) -> Tensor:
+        """Codes (b, code_dim) of clouds (b, n_points, 3) [m], as `draw_points` gives them."""
+        if points.shape[1:] != (self.config.n_points, 3):
+            raise InvalidInputError(
+                f"clouds are {tuple(points.shape[1:])}; this network takes ({self.config.n_points}, 3)"
+            )
+        return self.encoder(points.flatten(1))
+
+    def forward(
+        self,
+        current: Tensor,
+        goal: Tensor,
+        code: Tensor,
+        *,
+        stochastic: bool = True,
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
+        """Propose the next configuration (b, joint_dim), not clipped.
+
+        Parameters
+        ----------
+        current, goal
+            (b, joint_dim) in [-1, 1].
+        code
+            (b, code_dim), of `encode`.
+        stochastic
+            Dropout on, in training and, as in the published code, in planning.
+        generator
+            Source of the dropout, for runs that repeat.
+        """
+        x = torch.cat((code, current, goal), dim=-1)
+        for i, layer in enumerate(self.hidden):
+            x = layer(x)
+            if i < len(self.hidden) - 1:
+                x = self.dropout(x, stochastic, generator)
+        return self.out(x)
+
+
+def draw_points(cloud: Tensor, count: int, generator: torch.Generator | None = None) -> Tensor:
+    """Draw points (count, 3) of a cloud (n, 3) without replacement; all of them again when they run out.
+
+    Raises
+    ------
+    InvalidInputError
+        For clouds that `require_point_cloud` refuses.
+    """
+    require_point_cloud(cloud)
+    order = torch.randperm(len(cloud), generator=generator)
+    return cloud[order[torch.arange(count) % len(cloud)].to(cloud.device)]
+
+
+@dataclass(frozen=True, eq=False)
+class MPNetCheckpoint:
+    """A trained MPNet and what it belongs to."""
+
+    robot: RobotSignature
+    network: MPNet
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+
+def save_mpnet(folder: Path, checkpoint: MPNetCheckpoint) -> None:
+    """Write a folder, as `checkpoint.save_checkpoint` does."""
+    network = checkpoint.network
+    parts = {"mpnet": network}
+    model = to_plain(network.config)
+    write_weights(folder, ARCHITECTURE, model, checkpoint.robot, checkpoint.metadata, parts)
+
+
+def load_mpnet(folder: Path, robot: RobotSignature | None = None) -> MPNetCheckpoint:
+    """Read what `save_mpnet` wrote; errors as in `checkpoint.load_checkpoint`."""
+    description = read_description(folder, ARCHITECTURE, robot)
+    network = MPNet(from_plain(MPNetConfig, description.model, "model"))
+    load_part(folder, description, "mpnet", network)
+    return MPNetCheckpoint(description.robot, network.eval(), dict(description.metadata))

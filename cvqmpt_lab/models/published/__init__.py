@@ -1,0 +1,1 @@
+"""The sequence model as published, and the importer of its checkpoints."""

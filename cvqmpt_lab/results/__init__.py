@@ -1,0 +1,1 @@
+"""Rows of runs, their store, provenance and statistics: plain data that knows no robot."""

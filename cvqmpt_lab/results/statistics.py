@@ -1,0 +1,220 @@
+"""Statistics for success rates, censored planning times and paired comparisons.
+
+Failures are data: a failed run's time is +inf, so medians and quantiles need no imputation. Where
+something is undefined (no data) an `Interval` holds None, never 0.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.store import ResultRow, natural_key
+
+ProblemKey = tuple[str, str, int]
+"""(suite, problem, seed): what two planners must share for their runs to be a pair."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its confidence interval.
+
+    ``estimate``, ``low`` and ``high`` are None where undefined and +inf where failures make them so;
+    ``n`` is the number of values used. ``coverage`` is the exact coverage of an order-statistic
+    interval; None for other kinds.
+    """
+
+    estimate: float | None
+    low: float | None
+    high: float | None
+    n: int
+    coverage: float | None = None
+
+    def scaled(self, factor: float) -> "Interval":
+        """The same interval in another unit."""
+        low, high = (None if bound is None else bound * factor for bound in (self.low, self.high))
+        estimate = None if self.estimate is None else self.estimate * factor
+        return Interval(estimate, low, high, self.n, self.coverage)
+
+
+UNDEFINED = Interval(None, None, None, 0)
+
+
+def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interval:
+    """Success rate with Wilson's score interval (Wilson 1927), as fractions in [0, 1].
+
+    Raises
+    ------
+    InvalidInputError
+        Unless 0 <= successes <= n and 0 < confidence < 1.
+    """
+    if not 0 <= successes <= n:
+        raise InvalidInputError(f"{successes} successes of {n} runs; successes must lie in 0..n")
+    z = NormalDist().inv_cdf(0.5 + _checked_confidence(confidence) / 2)
+    if n == 0:
+        return UNDEFINED
+    rate = successes / n
+    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
+    low = 0.0 if successes == 0 else centre - half
+    high = 1.0 if successes == n else centre + half
+    return Interval(rate, low, high, n)
+
+
+def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
+    """Median with an order-statistic (sign-test) interval; failures are +inf.
+
+    The interval runs from the r-th smallest to the r-th largest value, with the largest r for which
+    P(r <= B <= n - r), B ~ Binomial(n, 1/2), is at least `confidence`. That probability is the exact
+    coverage for any continuous distribution and a lower bound otherwise; it is returned as
+    ``coverage`` (0.957 for n = 30). No such r exists for small n (n < 6 at 95 %): the interval is
+    then the whole range, and ``coverage``, below `confidence`, says so.
+
+    Raises
+    ------
+    InvalidInputError
+        For NaN, values that are not one-dimensional, or a confidence outside (0, 1).
+    """
+    ordered = np.sort(_checked_values(values))
+    n = len(ordered)
+    rank, coverage = _order_rank(n, _checked_confidence(confidence))
+    if n == 0:
+        return UNDEFINED
+    median = float(ordered[(n - 1) // 2] / 2 + ordered[n // 2] / 2)
+    return Interval(median, float(ordered[rank - 1]), float(ordered[n - rank]), n, coverage)
+
+
+def _order_rank(n: int, confidence: float) -> tuple[int, float]:
+    """Return the largest r >= 1 with enough coverage (1 when there is none), and the coverage of that r."""
+    term = below = 1  # 2**n times P(B = r - 1) and P(B <= r - 1), as exact integers
+    rank, coverage = 1, 1 - 2 * below / 2**n
+    for candidate in range(2, n // 2 + 1):
+        term = term * (n - candidate + 2) // (candidate - 1)
+        below += term
+        covered = 1 - 2 * below / 2**n
+        if covered < confidence:
+            break
+        rank, coverage = candidate, covered
+    return rank, max(coverage, 0.0)
+
+
+def quantile(values: ArrayLike, probability: float) -> float | None:
+    """Smallest value that at least a share `probability` of the values does not exceed; failures are +inf.
+
+    No interpolation, so that finite values and +inf never mix. None without values.
+
+    Raises
+    ------
+    InvalidInputError
+        For NaN or a probability outside [0, 1].
+    """
+    if not 0 <= probability <= 1:
+        raise InvalidInputError(f"probability is {probability}; it must lie in [0, 1]")
+    ordered = np.sort(_checked_values(values))
+    if len(ordered) == 0:
+        return None
+    rank = math.ceil(probability * len(ordered) - 1e-9)  # 0.07 * 100 is 7.000000000000001
+    return float(ordered[max(rank, 1) - 1])
+
+
+def mean_of_solved(
+    values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
+) -> Interval:
+    """Mean of the finite values with a percentile-bootstrap interval; failures (+inf) are left out.
+
+    This is what a table of bare means reports; it flatters planners that fail on hard problems, so
+    print it only beside the success rate and `median_interval`. One value has no interval.
+
+    Raises
+    ------
+    InvalidInputError
+        For NaN.
+    """
+    array = _checked_values(values)
+    return _bootstrap_mean(array[np.isfinite(array)], rng, n_bootstrap, confidence)
+
+
+def paired_ratio_interval(
+    a: ArrayLike, b: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
+) -> Interval:
+    """Geometric mean of a / b over pairs with a percentile-bootstrap interval (pairs are resampled).
+
+    One pair has no interval. Runs that failed have no place here: pass jointly solved pairs only.
+
+    Raises
+    ------
+    InvalidInputError
+        For arrays of unequal length, or values that are not finite and positive.
+    """
+    first, second = _checked_values(a), _checked_values(b)
+    if len(first) != len(second):
+        raise InvalidInputError(f"{len(first)} values paired with {len(second)}; the lengths must be equal")
+    for value in (*first, *second):
+        if not 0 < value < math.inf:
+            raise InvalidInputError(f"{value} in a paired ratio; values must be finite and positive")
+    logs = _bootstrap_mean(np.log(first / second), rng, n_bootstrap, confidence)
+    if logs.estimate is None:
+        return UNDEFINED
+    low, high = (None if bound is None else math.exp(bound) for bound in (logs.low, logs.high))
+    return Interval(math.exp(logs.estimate), low, high, logs.n)
+
+
+def _bootstrap_mean(
+    values: NDArray[np.float64], rng: np.random.Generator, n_bootstrap: int, confidence: float
+) -> Interval:
+    n = len(values)
+    if n == 0:
+        return UNDEFINED
+    if n == 1:
+        return Interval(float(values[0]), None, None, 1)
+    tail = (1 - _checked_confidence(confidence)) / 2
+    means = values[rng.integers(n, size=(n_bootstrap, n))].mean(axis=1)
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return Interval(float(values.mean()), float(low), float(high), n)
+
+
+def solved_against_time(times: ArrayLike, grid: ArrayLike) -> NDArray[np.float64]:
+    """Share of runs solved within each time of `grid` (m,) [s]; NaN everywhere without runs.
+
+    Raises
+    ------
+    InvalidInputError
+        For NaN among the times; a failure is +inf.
+    """
+    ordered = np.sort(_checked_values(times))
+    limits = np.asarray(grid, dtype=np.float64)
+    if len(ordered) == 0:
+        return np.full(limits.shape, np.nan)
+    finite = ordered[np.isfinite(ordered)]
+    return np.searchsorted(finite, limits, side="right") / len(ordered)
+
+
+def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[ProblemKey, ...]:
+    """Keys (suite, problem, seed) that every planner solved, in a deterministic order."""
+    solved = [{problem_key(row) for row in rows if row.solved} for rows in rows_by_planner.values()]
+    common = set.intersection(*solved) if solved else set()
+    return tuple(sorted(common, key=lambda key: (key[0], natural_key(key[1]), key[2])))
+
+
+def problem_key(row: ResultRow) -> ProblemKey:
+    """The (suite, problem, seed) of a row."""
+    return row.suite, row.problem, row.seed
+
+
+def _checked_values(values: ArrayLike | Sequence[float]) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 1 or np.isnan(array).any():
+        raise InvalidInputError(
+            f"values of shape {array.shape} with NaN or not one-dimensional; failures are +inf"
+        )
+    return array
+
+
+def _checked_confidence(confidence: float) -> float:
+    if not 0 < confidence < 1:
+        raise InvalidInputError(f"confidence is {confidence}; it must lie strictly between 0 and 1")
+    return confidence

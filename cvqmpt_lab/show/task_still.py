@@ -1,0 +1,88 @@
+"""A task as a row of still pictures: where it starts, and each moment at which a phase ends."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.show.still import Camera, still_image, write_png
+from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.task import PlannedPhase
+from cvqmpt_lab.tasks.world import HeldDoor, Load, World
+
+GAP = 6  # [pixels] between pictures
+
+
+def moments(solution: TaskSolution) -> list[tuple[str, World]]:
+    """(name, world) at the start and after every phase that was solved, in order."""
+    outcomes = {outcome.phase.name: outcome for outcome in solution.outcomes if outcome.solved}
+    world = World.before(solution.task)
+    found = [("start", world)]
+    for phase in solution.task.phases:
+        if not isinstance(phase, PlannedPhase):
+            world = world.after(phase)
+        elif phase.name in outcomes:
+            world = world.moved(outcomes[phase.name].solution.simplified.path.states[-1])  # type: ignore[union-attr]
+        else:
+            break
+        found.append((phase.name, world))
+    return found
+
+
+def shown(world: World) -> PlanningProblem:
+    """A world as something that can be drawn: the arm alone, and a door it holds in the scene."""
+    attachments: tuple[Attachment, ...] = ()
+    if isinstance(world.held, Load):  # the object itself, not the little less of it that is checked
+        attachments = (
+            replace(
+                world.held.attachment, shape=world.held.item.shape, T_hand_object=world.held.T_hand_object
+            ),
+        )
+    return PlanningProblem(
+        name="shown",
+        robot=world.arm,
+        scene=world.scene,
+        start=world.q,
+        goals=world.q[None],
+        attachments=attachments,
+    )
+
+
+def world_along(world: World, q: np.ndarray) -> World:
+    """The world at a state (n,) of a planned phase's path, or (n + 1,) with a door in the hand."""
+    return world.moved(q) if isinstance(world.held, HeldDoor) else replace(world, q=q)
+
+
+def draw_task(
+    solution: TaskSolution,
+    path: Path,
+    size: tuple[int, int] = (600, 450),
+    columns: int = 3,
+    camera: Camera | None = None,
+) -> list[str]:
+    """Write a PNG with a picture of the start and of the end of each planned phase, row by row; their names.
+
+    Parameters
+    ----------
+    size: width and height of one picture [pixels].
+
+    Raises
+    ------
+    InvalidInputError: a path that cannot be written.
+    """
+    planned = {phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase)}
+    chosen = [(name, world) for name, world in moments(solution) if name in planned or name == "start"]
+    rows = -(-len(chosen) // columns)
+    width, height = size
+    sheet = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
+    for k, (_, world) in enumerate(chosen):
+        top, left = (k // columns) * (height + GAP), (k % columns) * (width + GAP)
+        image = still_image(shown(world), world.q, size, camera or CAMERA)
+        sheet[top : top + height, left : left + width] = image
+    write_png(Path(path), sheet)
+    return [name for name, _ in chosen]
+
+
+CAMERA = Camera(eye=(-1.35, -1.75, 1.55), target=(0.30, -0.20, 0.50), height_angle=0.72)

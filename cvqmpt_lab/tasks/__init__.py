@@ -1,0 +1,1 @@
+"""Tasks of several phases: described, walked through and solved."""

@@ -1,0 +1,154 @@
+"""The world in the middle of a task: where the arm is, what the hand holds, how the scene has changed."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.articulation import TakenOut, take_out
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
+
+IN_HAND = 0.02  # [m] an object may be from where a grasp expects it
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """A carried object: as it stood in the scene, where in the hand (4, 4), and what is checked of it."""
+
+    item: SceneObject
+    T_hand_object: np.ndarray
+    attachment: Attachment
+
+
+@dataclass(frozen=True)
+class HeldDoor:
+    """A door or drawer in the hand, and what may touch it."""
+
+    name: str
+    may_touch: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """One moment of a task.
+
+    Attributes
+    ----------
+    source: of the arm's robot, with the gripper as it is now. scene: without what is carried, doors at their values.
+    q: (n,), the arm [rad or m].
+    """
+
+    source: Mapping[str, Any]
+    scene: Scene
+    q: np.ndarray
+    held: Load | HeldDoor | None = None
+
+    @staticmethod
+    def before(task: Task) -> "World":
+        """The start of a task."""
+        return World(task.robot, task.scene, task.start)
+
+    @property
+    def arm(self) -> Robot:
+        """The robot without the door it holds."""
+        return robot_from_source(self.source)
+
+    def problem(self, task: Task, phase: PlannedPhase) -> PlanningProblem:
+        """What a planned phase asks for, without goals."""
+        robot, scene, start = self.arm, self.scene, self.q
+        attachments = (self.held.attachment,) if isinstance(self.held, Load) else ()
+        constraint: tuple[TaskSpaceRegion, ...]
+        match phase:
+            case Move():
+                constraint, goal = phase.constraint, phase.goal
+            case Slide():
+                T_world_hand = robot.pose(self.q)
+                Bw = np.zeros((6, 2))
+                Bw[2] = min(0.0, phase.distance), max(0.0, phase.distance)
+                constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
+                there = T_world_hand @ pose((0.0, 0.0, phase.distance))
+                goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
+            case Turn():
+                assert isinstance(self.held, HeldDoor)
+                turned = scene.with_joint(self.held.name, phase.value)[phase.goal.base].T_world_object
+                constraint, goal = (phase.constraint,), phase.goal.at(turned)
+                start = np.append(start, scene.articulation(self.held.name).value)
+                scene, robot = _mechanism(json.dumps(self.source), scene, self.held)
+        return PlanningProblem(
+            name=f"{task.name}/{phase.name}",
+            robot=robot,
+            scene=scene,
+            start=start,
+            goals=np.empty((0, robot.dof)),
+            constraint=constraint,
+            attachments=attachments,
+            goal_region=goal,
+        )
+
+    def moved(self, q: np.ndarray) -> "World":
+        """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in the hand."""
+        if not isinstance(self.held, HeldDoor):
+            return replace(self, q=q)
+        joint = self.scene.articulation(self.held.name)
+        scene = self.scene.with_joint(self.held.name, float(np.clip(q[-1], joint.lower, joint.upper)))
+        return replace(self, scene=scene, q=q[:-1])
+
+    def after(self, phase: Phase) -> "World":
+        """The world after a phase that is not planned.
+
+        Raises
+        ------
+        InvalidInputError: the hand closes where the object is not; names the phase.
+        """
+        match phase:
+            case Hold():
+                held = HeldDoor(phase.articulation, phase.may_touch)
+                return replace(self, source={**self.source, **phase.gripper}, held=held)
+            case Grasp():
+                return self._grasped(phase)
+            case Release():
+                scene = self.scene
+                if isinstance(self.held, Load):
+                    T = self.arm.pose(self.q) @ self.held.T_hand_object
+                    scene = scene.with_objects(replace(self.held.item, T_world_object=T))
+                return replace(self, source={**self.source, **phase.gripper}, scene=scene, held=None)
+        raise InvalidInputError(f"phase {phase.name!r} is planned: its end is not known before")
+
+    def _grasped(self, phase: Grasp) -> "World":
+        item = self.scene[phase.object]
+        T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
+        off = float(np.linalg.norm(T_hand_object[:3, 3] - phase.attachment.T_hand_object[:3, 3]))
+        if off > IN_HAND:
+            raise InvalidInputError(
+                f"phase {phase.name!r}: {phase.object!r} is {off:.3f} m from where the hand closes; "
+                "let the phase before end at the object"
+            )
+        return World(
+            source={**self.source, **phase.gripper},
+            scene=self.scene.without(phase.object),
+            q=self.q,
+            held=Load(item, T_hand_object, phase.attachment),
+        )
+
+
+@lru_cache(maxsize=8)
+def _taken_out(scene: Scene, held: HeldDoor) -> TakenOut:
+    """Finding a door's casing takes 0.2 s."""
+    return take_out(scene, held.name, held.may_touch)
+
+
+@lru_cache(maxsize=8)
+def _mechanism(source: str, scene: Scene, held: HeldDoor) -> tuple[Scene, Robot]:
+    """A scene without the held door, and the robot with it; source: the robot's, as json."""
+    rest, door = _taken_out(scene, held)
+    return rest, robot_from_source({**json.loads(source), "articulated": door.to_dict()})

@@ -1,0 +1,92 @@
+"""Losses of both stages, masked so that padding never counts (reductions of the published code)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from cvqmpt_lab.models.dictionary.dictionary import DictionaryOutput
+from cvqmpt_lab.models.dictionary.gaussian_decoder import Gaussians
+from cvqmpt_lab.models.dictionary.quantizer import Quantized
+
+
+@dataclass(frozen=True, eq=False)
+class Stage1Loss:
+    """Parts of the stage-1 loss, scalars; `reconstruction` selects the best model."""
+
+    negative_log_likelihood: Tensor
+    negative_entropy: Tensor
+    quantization: Tensor
+    entropy_weight: float
+
+    @property
+    def reconstruction(self) -> Tensor:
+        """Negative log likelihood plus weighted negative entropy."""
+        return self.negative_log_likelihood + self.entropy_weight * self.negative_entropy
+
+    @property
+    def total(self) -> Tensor:
+        """What is minimised."""
+        return self.reconstruction + self.quantization
+
+
+def stage1_loss(
+    output: DictionaryOutput, u: Tensor, visible: Tensor, commitment: float, entropy_weight: float = 0.1
+) -> Stage1Loss:
+    """Fit of the dictionary to trajectories.
+
+    Parameters
+    ----------
+    output
+        Of `Dictionary` for the same waypoints.
+    u
+        (b, t, joint_dim): normalised joints.
+    visible
+        (b, t) bool: False where padded.
+    commitment
+        beta of the quantization loss.
+    entropy_weight
+        Share of the (maximised) entropy; keeps Gaussians wide.
+    """
+    trajectories = u.shape[0]
+    return Stage1Loss(
+        -torch.where(visible, output.gaussians.log_prob(u), 0.0).sum() / trajectories,
+        -torch.where(visible, output.gaussians.entropy(), 0.0).sum() / trajectories,
+        quantization_loss(output.quantized, visible, commitment),
+        entropy_weight,
+    )
+
+
+def quantization_loss(quantized: Quantized, visible: Tensor, commitment: float) -> Tensor:
+    """Weigh commitment ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2 on latents, mean over visible (b, t) waypoints."""
+    z, z_q = quantized.latent, quantized.quantized
+    per_waypoint = commitment * (z_q.detach() - z).square().sum(-1) + (z_q - z.detach()).square().sum(-1)
+    return per_waypoint[visible].mean()
+
+
+def sequence_loss(logits: Tensor, targets: Tensor, visible: Tensor, trajectories: int) -> Tensor:
+    """Stage 2: cross entropy of the next code over all visible prefixes, per trajectory.
+
+    Parameters
+    ----------
+    logits
+        (..., n_classes): prediction after each prefix.
+    targets
+        (...) int64: the next code of each, the goal class after the last.
+    visible
+        (...) bool: False where padded.
+    trajectories
+        What the sum is divided by.
+    """
+    return F.cross_entropy(logits[visible], targets[visible], reduction="sum") / trajectories
+
+
+def refinement_loss(gaussians: Gaussians, u: Tensor, visible: Tensor) -> Tensor:
+    """Mean negative log likelihood of waypoints u (b, t, joint_dim) under the Gaussian of their step."""
+    return -gaussians.log_prob(u)[visible].mean()
+
+
+def binary_loss(logits: Tensor, labels: Tensor) -> Tensor:
+    """Cross entropy of the collision or connectivity head against labels (True: free), mean."""
+    return F.binary_cross_entropy_with_logits(logits, labels.to(logits.dtype))

@@ -1,0 +1,1 @@
+"""What kernels and planners cost on this machine."""

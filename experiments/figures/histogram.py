@@ -1,0 +1,191 @@
+"""Histograms of F^T F before and after the latent update, and how tight the Markov bound on its tail is.
+
+The paper's figure shows two dictionary values predicted for the place task, one far from the constraint and
+one near it; its equation `markov` bounds the share of draws with F^T F >= k by G / k, G their mean.
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.provenance import write_text_atomic
+from experiments.figures.latent_update import LatentUpdate
+
+BINS = 40
+SHOWN = 0.99
+"""Share of the draws, before and after, that the even bins cover; what lies beyond is one last wide bin."""
+THRESHOLDS = tuple(float(f"{k:.3g}") for k in np.geomspace(1e-3, 10.0, 25))
+"""At which the tail is measured and bounded [the constraint's units, squared]."""
+
+HISTOGRAM_FILE, VALUES_FILE, MARKOV_FILE = "histogram.csv", "values.csv", "markov.csv"
+HISTOGRAM_COLUMNS = ("code", "goal", "role", "from", "to", "before", "after")
+VALUES_COLUMNS = (
+    "code",
+    "goal",
+    "role",
+    "g_before",
+    "g_after",
+    "satisfied_before",
+    "satisfied_after",
+    "kept",
+)
+MARKOV_COLUMNS = ("code", "goal", "role", "when", "k", "tail", "bound")
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Counts of two samples in the same bins: edges (b + 1,), before, after (b,)."""
+
+    edges: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+    @classmethod
+    def of(cls, before: np.ndarray, after: np.ndarray, bins: int = BINS) -> "Histogram":
+        """Bin values of 0 or more: even bins from 0 for most, and one for the rest; every value is counted.
+
+        Raises
+        ------
+        InvalidInputError
+            For values that are negative or not finite, or less than one bin.
+        """
+        both = np.concatenate((before, after))
+        if bins < 1 or len(both) == 0 or not (np.isfinite(both).all() and (both >= 0.0).all()):
+            raise InvalidInputError(
+                f"histogram of {len(both)} values in {bins} bins: give 1 bin or more, and finite values from 0"
+            )
+        top = float(both.max(initial=0.0))
+        most = float(np.quantile(both, SHOWN))
+        edges = np.linspace(0.0, most if most > 0.0 else top if top > 0.0 else 1.0, bins + 1)
+        if top > edges[-1]:
+            edges = np.append(edges, top)
+        return cls(edges, *(np.histogram(values, edges)[0] for values in (before, after)))
+
+    @property
+    def beyond(self) -> int:
+        """Number of wide bins at the end, 0 or 1."""
+        return int(np.count_nonzero(np.diff(self.edges) > (1.0 + 1e-6) * self.edges[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class MarkovTail:
+    """Share of draws of a value of 0 or more that reach k, and what Markov's inequality allows: all (t,).
+
+    The bound takes the mean of the same draws, so it holds for them exactly; above 1 it says nothing.
+    """
+
+    k: np.ndarray
+    tail: np.ndarray
+    bound: np.ndarray
+
+    @classmethod
+    def of(cls, values: np.ndarray, thresholds: Sequence[float] = THRESHOLDS) -> "MarkovTail":
+        """Measure values (s,) at thresholds > 0."""
+        k = np.asarray(thresholds, dtype=float)
+        if len(values) == 0 or not (k > 0.0).all():
+            raise InvalidInputError(
+                f"Markov bound of {len(values)} values at {thresholds}: give values, and thresholds above 0"
+            )
+        return cls(k, (values[:, None] >= k).mean(axis=0), values.mean() / k)
+
+
+@dataclass(frozen=True, eq=False)
+class CodeChange:
+    """What the figure shows of one code."""
+
+    code: int
+    goal: int
+    role: str
+    histogram: Histogram
+    before: MarkovTail
+    after: MarkovTail
+    g_before: float
+    g_after: float
+
+
+def code_changes(update: LatentUpdate) -> list[CodeChange]:
+    """The far and the near code."""
+    changes = []
+    for role, index in update.representatives().items():
+        before, after = update.g_before[index], update.g_after[index]
+        changes.append(
+            CodeChange(
+                code=int(update.prediction.codes[index]),
+                goal=int(update.prediction.goal_of[index]),
+                role=role,
+                histogram=Histogram.of(before, after),
+                before=MarkovTail.of(before),
+                after=MarkovTail.of(after),
+                g_before=float(before.mean()),
+                g_after=float(after.mean()),
+            )
+        )
+    return changes
+
+
+def write_tables(update: LatentUpdate, changes: Sequence[CodeChange], folder: Path) -> list[Path]:
+    """Write the numbers of the figure and those of every predicted code; returns the files."""
+    tables = (
+        (HISTOGRAM_FILE, HISTOGRAM_COLUMNS, _histogram_rows(changes)),
+        (VALUES_FILE, VALUES_COLUMNS, value_rows(update)),
+        (MARKOV_FILE, MARKOV_COLUMNS, _markov_rows(changes)),
+    )
+    return [write_csv(folder / name, columns, rows) for name, columns, rows in tables]
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
+    """Write a table, numbers to 6 digits, at once or not at all."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        writer.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in row])
+    write_text_atomic(path, text.getvalue())
+    return path
+
+
+def value_rows(update: LatentUpdate) -> list[tuple[object, ...]]:
+    """A row (`VALUES_COLUMNS`) for every predicted code: mean of F^T F, share of draws where F is zero."""
+    roles = {index: role for role, index in update.representatives().items()}
+    before, after = update.g_before, update.g_after
+    return [
+        (
+            int(update.prediction.codes[i]),
+            int(update.prediction.goal_of[i]),
+            roles.get(i, ""),
+            float(before[i].mean()),
+            float(after[i].mean()),
+            float((before[i] == 0.0).mean()),
+            float((after[i] == 0.0).mean()),
+            int(update.optimized.kept[i]),
+        )
+        for i in range(len(update.prediction.codes))
+    ]
+
+
+def _histogram_rows(changes: Sequence[CodeChange]) -> list[tuple[object, ...]]:
+    return [
+        (change.code, change.goal, change.role, float(low), float(high), int(before), int(after))
+        for change in changes
+        for low, high, before, after in zip(
+            change.histogram.edges[:-1],
+            change.histogram.edges[1:],
+            change.histogram.before,
+            change.histogram.after,
+            strict=True,
+        )
+    ]
+
+
+def _markov_rows(changes: Sequence[CodeChange]) -> list[tuple[object, ...]]:
+    return [
+        (change.code, change.goal, change.role, when, float(k), float(tail), float(bound))
+        for change in changes
+        for when, markov in (("before", change.before), ("after", change.after))
+        for k, tail, bound in zip(markov.k, markov.tail, markov.bound, strict=True)
+    ]

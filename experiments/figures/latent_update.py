@@ -1,0 +1,152 @@
+"""One problem's predicted Gaussians before and after the latent update (paper, algorithm 2), and draws of both.
+
+The update chooses its steps and judges them by draws of its own. Everything measured here comes from other
+draws, the same standard normal ones before and after, so that what differs is the update and not luck.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.checkpoint import Checkpoint
+from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings, Optimized
+from cvqmpt_lab.prediction.prediction import Prediction
+from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
+from experiments.suites.place_task import UnsolvableProblem
+
+FAR, NEAR = "far", "near"
+RANKS: Mapping[str, float] = {FAR: 0.9, NEAR: 0.1}
+"""Which codes stand for those far from and near the constraint: ranks among all predicted, in [0, 1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateSettings:
+    """What is predicted and how it is measured.
+
+    Attributes
+    ----------
+    samples: draws of each code's Gaussian, before and after.
+    """
+
+    seed: int = 0
+    samples: int = 2000
+    cameras: CameraSettings = field(default_factory=CameraSettings.like_training)
+    predictor: PredictorSettings = field(default_factory=PredictorSettings)
+    latent: LatentSettings = field(default_factory=LatentSettings)
+
+    def __post_init__(self) -> None:
+        for name, least in (("seed", 0), ("samples", 1)):
+            if getattr(self, name) < least:
+                raise InvalidInputError(
+                    f"{name} of the latent update is {getattr(self, name)}; give {least} or more"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """Gaussians of codes: means (c, n) [rad], scales (c, n, n) [rad], lower triangular: q = mean + scale @ noise."""
+
+    means: np.ndarray
+    scales: np.ndarray
+
+    def draws(self, code: int, noise: np.ndarray) -> np.ndarray:
+        """Configurations (s, n) [rad] of one code from standard normal noise (s, n)."""
+        return self.means[code] + noise @ self.scales[code].T
+
+
+@dataclass(frozen=True, eq=False)
+class LatentUpdate:
+    """A prediction before and after the update.
+
+    Attributes
+    ----------
+    problem: with its goals. cloud: (m, 3) [m], what the model saw.
+    before, after: Gaussians of the c predicted codes.
+    noise: (s, n), standard normal. g_before, g_after: (c, s), F^T F at the draws that noise makes
+        [the constraint's units, squared].
+    """
+
+    problem: PlanningProblem
+    cloud: np.ndarray
+    prediction: Prediction
+    optimized: Optimized
+    before: Gaussians
+    after: Gaussians
+    noise: np.ndarray
+    g_before: np.ndarray
+    g_after: np.ndarray
+
+    def representatives(self) -> dict[str, int]:
+        """A code far from the constraint and one near it, by their ranks (`RANKS`).
+
+        Ranked by the update's own estimate, not by the draws that are shown.
+        """
+        order = np.argsort(self.optimized.g_before, kind="stable")
+        return {name: int(order[round(rank * (len(order) - 1))]) for name, rank in RANKS.items()}
+
+
+def update_latents(
+    problem: PlanningProblem | UnsolvableProblem, checkpoint: Checkpoint, settings: UpdateSettings
+) -> LatentUpdate:
+    """Look at the scene, predict, update, draw.
+
+    Raises
+    ------
+    InvalidInputError
+        When there is no problem, no goal, or too few codes to compare two.
+    """
+    if isinstance(problem, UnsolvableProblem):
+        raise InvalidInputError(f"problem {problem.name} has no start: {problem.reason}; choose another")
+    problem, _ = with_sampled_goals(problem)
+    if len(problem.goals) == 0:
+        raise InvalidInputError(f"problem {problem.name}: no goal was found; choose another")
+    seen, predicted, moved, drawn = map(np.random.default_rng, np.random.SeedSequence(settings.seed).spawn(4))
+    cloud = camera_cloud(problem.scene, settings.cameras, seen)
+    predictor = Predictor(checkpoint, problem.robot, settings.predictor)
+    prediction = predictor.predict(cloud, problem.start, problem.goals, predicted)
+    if len(prediction.codes) < len(RANKS):
+        raise InvalidInputError(
+            f"problem {problem.name}: the model predicted {len(prediction.codes)} codes, {len(RANKS)} are "
+            "compared; choose another problem, seed or model"
+        )
+    constraint = problem.manifold
+    optimized = LatentOptimizer(predictor, settings.latent).optimize(prediction, constraint, moved)
+    noise = drawn.standard_normal((settings.samples, problem.robot.dof))
+    before, after = (gaussians_of(predictor, prediction, z) for z in (prediction.z, optimized.z))
+    return LatentUpdate(
+        problem=problem,
+        cloud=cloud,
+        prediction=prediction,
+        optimized=optimized,
+        before=before,
+        after=after,
+        noise=noise,
+        g_before=_squared_residuals(constraint, before, noise),
+        g_after=_squared_residuals(constraint, after, noise),
+    )
+
+
+def gaussians_of(predictor: Predictor, prediction: Prediction, z: np.ndarray) -> Gaussians:
+    """Gaussians in radians of a prediction's codes moved to z (c, code_dim)."""
+    decoded = predictor.decoder.decode(z, prediction.refinement)
+    configurations = predictor.configurations
+    return Gaussians(
+        configurations.radians(decoded.mean.astype(float)), configurations.range[:, None] * decoded.scale
+    )
+
+
+def squared_residual(constraint: Constraint, q: np.ndarray) -> np.ndarray:
+    """F^T F (s,) of configurations (s, n) [rad]; zero where the constraint holds."""
+    return np.square(constraint.residual(q)).sum(axis=1)
+
+
+def _squared_residuals(constraint: Constraint, gaussians: Gaussians, noise: np.ndarray) -> np.ndarray:
+    """F^T F (c, s) at the draws of every code."""
+    codes = range(len(gaussians.means))
+    return np.array([squared_residual(constraint, gaussians.draws(code, noise)) for code in codes])

@@ -1,0 +1,1 @@
+"""Which problems and tasks an experiment runs, by name."""

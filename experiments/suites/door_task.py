@@ -1,0 +1,99 @@
+"""Opening the shelf's door: the hand holds the handle's bar, and the door goes where the hand takes it.
+
+As in the published experiment code, the hand frame stands 0.10 m in front of the bar, approaching the
+closed door along +x with its own x axis down, and the door goes from closed to -0.45 pi. That code
+replays a stored motion; here it is planned: the door is the robot's eighth joint, the constraint is a
+region of the hand about the bar.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from cvqmpt_lab.constraints.inverse_kinematics import sample_region
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import panda, robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.articulation import take_out
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.scene import Scene, pose
+from experiments.suites.place_task import DOOR, UnsolvableProblem, no_grasp
+
+OPEN = -0.45 * np.pi  # [rad]
+BAR = f"{DOOR}/handle_bar"
+STANDOFF = 0.10  # [m] from the hand frame to the bar's axis
+GRIP = 0.0075  # [m] opening of each finger: the bar's radius
+PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
+TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
+GRASPS = 20  # of the closed door that are tried
+GOALS_NEEDED = 10  # of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
+START_MARGIN = 5e-4  # [m] kept by starts: a closed door is only 1 mm from its neighbour
+
+
+def handle_region(turn: float = FREE, slide: float = 0.0) -> TaskSpaceRegionChain:
+    """Hand poses that hold the bar.
+
+    turn: how far the hand may turn about the bar either way [rad]. slide: and move along it [m].
+    """
+    Tw_e = pose((-STANDOFF, 0.0, 0.0))
+    Tw_e[:3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]  # hand z along x, hand x down
+    Bw = np.zeros((6, 2))
+    Bw[2], Bw[5] = (-slide, slide), (-turn, turn)
+    return TaskSpaceRegionChain(np.eye(4), Tw_e, Bw, BAR)
+
+
+@lru_cache(maxsize=2)
+def door_world(finger_opening: float = GRIP) -> tuple[Scene, Robot]:
+    """The kitchen without the door, and the Panda with it; only finger pads may touch the bar."""
+    scene, door = take_out(kitchen(), DOOR, may_touch=[(pad, BAR) for pad in PADS])
+    return scene, robot_from_source({**panda(finger_opening).source, "articulated": door.to_dict()})
+
+
+def bar_pose(angle: float) -> np.ndarray:
+    """T_world_bar (4, 4) with the door at an angle [rad]; InvalidInputError outside its range."""
+    return kitchen().with_joint(DOOR, angle)[BAR].T_world_object
+
+
+def door_problem(
+    seed: int,
+    angle: float = OPEN,
+    region: TaskSpaceRegionChain | None = None,
+    finger_opening: float = GRIP,
+) -> PlanningProblem | UnsolvableProblem:
+    """Open the door to an angle [rad], from a grasp of the closed one; goals are sampled by `pipeline.solve`.
+
+    seed: of the start grasp, whose hand pose is always the same; the first is taken in whose posture
+        `GOALS_NEEDED` goals are found, though not necessarily reached along the constraint.
+    region: what the hand keeps; by default it may turn about the bar as far as nothing is in the way.
+    """
+    scene, robot = door_world(finger_opening)
+    region = region or handle_region()
+    checker = CollisionChecker(robot, scene, margin=START_MARGIN)
+    grasp = handle_region(turn=0.0)
+    goal = goal_region(region, angle)
+    rng = np.random.default_rng([seed, 1])
+    starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,))
+    for start in starts.configurations:
+        problem = PlanningProblem(
+            name=f"door-{seed}",
+            robot=robot,
+            scene=scene,
+            start=start,
+            goals=np.empty((0, robot.dof)),
+            constraint=(region,),
+            goal_region=goal,
+        )
+        if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
+            return problem
+    return UnsolvableProblem(f"door-{seed}", no_grasp("start grasp whose posture reaches the goal", starts))
+
+
+def goal_region(region: TaskSpaceRegionChain, angle: float) -> TaskSpaceRegion:
+    """Where the hand holds the bar with the door at an angle, turned about it by at most `TURN`."""
+    Bw = region.Bw.copy()
+    Bw[5] = np.clip(Bw[5], -TURN, TURN)
+    return TaskSpaceRegion(bar_pose(angle) @ region.T0_w, region.Tw_e, Bw)

@@ -1,0 +1,44 @@
+"""Held-out scenes of the training families: move between two random upright hand poses, upright all the way.
+
+Scene numbers below FIRST_SCENE of `training_data` occur in no dataset.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cvqmpt_lab.constraints.task_space_region import upright
+from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.families import family_scene
+from experiments.suites.place_task import UnsolvableProblem
+
+PROBLEMS = range(50)
+TUNING_PROBLEMS = range(1000, 1030)  # same distribution, never reported
+DRAWS = 4000  # configurations drawn for start and goal
+APART = 2.0  # [rad] start and goal at least
+TRIES = 200  # pairs looked at for one whose straight motion is blocked
+
+
+def family_problem(family: str, number: int) -> PlanningProblem | UnsolvableProblem:
+    """The problem of one scene: a start and a goal on the manifold, the straight motion between them blocked."""
+    scene = family_scene(family, number)
+    robot = robot_from_source({"name": "panda"})
+    middle = 0.5 * (robot.lower + robot.upper)
+    problem = PlanningProblem(str(number), robot, scene, middle, middle[None], (upright(),))
+    space, rng = ConstrainedSpace(problem), np.random.default_rng([number, 7])
+    states = robot.random_configurations(rng, DRAWS)
+    states = states[[space.project(q) for q in states]]
+    states = states[space.valid_batch(states)]
+    checker = problem.collision_checker(0.001)
+    for _ in range(TRIES if len(states) > 1 else 0):
+        start, goal = states[rng.choice(len(states), 2, replace=False)]
+        if np.linalg.norm(goal - start) < APART or motion_free(space.arrays, start, goal):
+            continue
+        if not (checker.in_collision(start) or checker.in_collision(goal)):
+            return replace(problem, start=start, goals=goal[None])
+    return UnsolvableProblem(
+        str(number), f"no two upright free states of {scene.name} with a blocked straight motion"
+    )

@@ -1,0 +1,91 @@
+"""The multi-sequence task: open the shelf's door, take a can out, stand it upright on the counter.
+
+As in the published experiment code, task k starts anywhere free of collision (seed 100 + k), the door is
+opened to -0.45 pi, the can is carried from the shelf to within a decimetre of (0.25, -0.45), and a
+cracker box and a mustard bottle stand on the counter. What differs: opening the door is planned, not
+replayed; the final pose of the can is drawn anew for every task, where a side effect of the published
+code makes it the same in all ten; the can stands in the way until it is grasped, so that the hand
+comes to it in a straight line.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.loading import FINGER_OPENING, robot_from_source
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.objects import CAN, cracker_box, mustard_bottle
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
+from experiments.suites.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
+from experiments.suites.place_task import DOOR, SHELF_LINK, carried_can, grasp_region
+from paper_tables.phases_summary import PAPER_PHASES
+
+TASKS = range(10)
+FIRST_SEED = 100
+CAN_NAME = "can"
+CRACKER_BOX = ((0.600, -0.623, 0.287), -np.pi / 4)  # centre of mass [m] and yaw [rad]
+MUSTARD_BOTTLE = (0.550, -0.303, 0.262)
+TARGET, TARGET_SIDE = (
+    (0.25, -0.45, 0.271),
+    0.1,
+)  # [m] corner and side of where the can is put (centre of mass)
+APPROACH = (
+    0.08  # [m] that the hand comes straight to the can: so deep are the fingers, and the can's 3 mm of play
+)
+CAN_GRIP = CAN.shape.radius  # type: ignore[union-attr]  # [m] opening of each finger
+REACH_HANDLE, REACH_CAN, CARRY = PAPER_PHASES
+
+
+@lru_cache(maxsize=1)
+def world() -> Scene:
+    """The kitchen, door closed, with the two obstacles on the counter and the can on the shelf."""
+    position, yaw = CRACKER_BOX
+    centre = np.add(SHELF_LINK, CAN.com) + (0.0, 0.0, CAN.shape_centre[2] - CAN.com[2])
+    return kitchen().with_objects(
+        cracker_box("cracker_box", position, yaw),
+        mustard_bottle("mustard_bottle", MUSTARD_BOTTLE),
+        SceneObject(CAN_NAME, CAN.shape, pose(centre)),  # its axis through its centre of mass
+    )
+
+
+def pregrasp_region(com: np.ndarray) -> TaskSpaceRegion:
+    """Hand poses `APPROACH` in front of those of `place_task.grasp_region`."""
+    grasp = grasp_region(com)
+    return TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -APPROACH)), grasp.Bw)
+
+
+def multi_sequence_task(number: int) -> Task:
+    """Task 0 to 9; other numbers give tasks of the same distribution."""
+    if number < 0:
+        raise InvalidInputError(f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9")
+    robot = robot_from_source({"name": "panda"})
+    rng = np.random.default_rng(FIRST_SEED + number)
+    checker = CollisionChecker(robot, world(), margin=SAMPLE_MARGIN)
+    start = robot.random_configurations(rng, 1)[0]
+    while checker.in_collision(start):
+        start = robot.random_configurations(rng, 1)[0]
+    target = np.array(TARGET)
+    target[:2] += TARGET_SIDE * rng.uniform(size=2)
+    open_fingers, grip = {"finger_opening": FINGER_OPENING}, {"finger_opening": GRIP}
+    return Task(
+        name=str(number),
+        robot=robot.source,
+        scene=world(),
+        start=start,
+        phases=(
+            Move(REACH_HANDLE, handle_region(turn=0.0).at(bar_pose(0.0))),
+            Hold("hold-handle", DOOR, grip, tuple((pad, handle_region().base) for pad in PADS)),
+            Turn("open-door", OPEN, handle_region(), handle_region(turn=TURN)),
+            Release("let-go", open_fingers),
+            Move(REACH_CAN, pregrasp_region(np.add(SHELF_LINK, CAN.com))),
+            Slide("approach", APPROACH),
+            Grasp("grasp-can", CAN_NAME, {"finger_opening": CAN_GRIP}, carried_can()),
+            Move(CARRY, grasp_region(target), (upright(),)),
+            Release("put-down", open_fingers),
+        ),
+    )

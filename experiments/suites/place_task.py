@@ -1,0 +1,101 @@
+"""The place task: carry a can from the kitchen counter to the shelf without tilting it.
+
+As in the published experiment code, environment seed e in 0..149 puts the can's link frame at
+x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z = 0.171 with (u1, u2) the first two uniforms of numpy's legacy
+generator seeded by e. The start is a collision-free grasp of that can, the goals are up to 20 grasps
+of a can on the shelf, yaw within +-90 degrees about the can; the hand must stay upright on the way.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, GoalSample, sample_region
+from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.objects import CAN
+from cvqmpt_lab.scene.scene import Scene, pose
+from cvqmpt_lab.scene.shapes import Cylinder
+
+ENVIRONMENTS = range(150)
+TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
+GOALS = 20
+DOOR = "dagger_door_left"
+DOOR_ANGLE = -1.57  # [rad]
+SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
+BOTTOM_GAP = 0.005  # [m] cut off the carried can's bottom, which would otherwise touch the counter
+
+
+@dataclass(frozen=True)
+class UnsolvableProblem:
+    """An environment without a planning problem, and why."""
+
+    name: str
+    reason: str
+
+
+def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
+    """Hand poses that grasp a can with centre of mass com (3,) [m]: from the side, yaw within +-90 degrees."""
+    Tw_e = pose((-0.11, 0.0, 0.05))
+    Tw_e[:3, :3] = UPRIGHT_ROTATION
+    Bw = np.zeros((6, 2))
+    Bw[5] = (-np.pi / 2, np.pi / 2)
+    return TaskSpaceRegion(pose(com), Tw_e, Bw)
+
+
+def can_com(environment: int) -> np.ndarray:
+    """Centre of mass (3,) [m] of the can on the counter of an environment."""
+    u1, u2 = np.random.RandomState(environment).uniform(size=2)
+    return np.array([0.4 + 0.3 * u1, -0.6 + 1.0 * u2, 0.171]) + CAN.com
+
+
+def carried_can() -> Attachment:
+    """The can in the hand, at the grasp of `grasp_region`, BOTTOM_GAP shorter below."""
+    grasp = grasp_region(np.zeros(3))
+    shape = Cylinder(CAN.shape.radius, CAN.shape.height - BOTTOM_GAP)  # type: ignore[union-attr]
+    centre = np.subtract(CAN.shape_centre, CAN.com) + (0.0, 0.0, BOTTOM_GAP / 2)
+    # Yaw is about the centre of mass, 5 mm or less off the cylinder's axis: the axis is taken instead.
+    return Attachment("carried_can", shape, np.linalg.inv(grasp.Tw_e) @ pose((0.0, 0.0, centre[2])))
+
+
+@lru_cache(maxsize=1)
+def _world() -> Scene:
+    return kitchen(door_angles={DOOR: DOOR_ANGLE})
+
+
+def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:
+    """The problem of one environment; its goals are sampled by `pipeline.solve`, from the goal region.
+
+    with_can: the carried can is part of the robot (the published experiment leaves it out).
+    """
+    name = str(environment)
+    robot = robot_from_source({"name": "panda"})
+    attachments = (carried_can(),) if with_can else ()
+    checker = CollisionChecker(robot, _world(), attachments, SAMPLE_MARGIN)
+    rng = np.random.default_rng([environment, 0])
+    start = sample_region(robot, grasp_region(can_com(environment)), checker, rng, count=1)
+    if len(start.configurations) == 0:
+        return UnsolvableProblem(name, no_grasp("start grasp", start))
+    return PlanningProblem(
+        name=name,
+        robot=robot,
+        scene=_world(),
+        start=start.configurations[0],
+        goals=np.empty((0, robot.dof)),
+        constraint=(upright(),),
+        attachments=attachments,
+        goal_region=grasp_region(np.add(SHELF_LINK, CAN.com)),
+    )
+
+
+def no_grasp(what: str, sample: GoalSample) -> str:
+    """Why sampling brought nothing."""
+    return (
+        f"no {what}: of {sample.poses_tried} poses, {sample.unreachable} without inverse kinematics, "
+        f"{sample.colliding} in collision"
+    )

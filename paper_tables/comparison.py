@@ -1,0 +1,149 @@
+"""Planners against a baseline: paired ratios, work at another price, and problems split into easy and hard.
+
+Pure functions of rows. A run's work is its projections and state checks, which do not depend on the machine.
+"""
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.statistics import UNDEFINED, Interval, paired_ratio_interval, problem_key, quantile
+from cvqmpt_lab.results.store import ResultRow
+
+REFERENCE = "birrt"
+"""Whose work says how hard a problem is, and what the split's ratios are taken against."""
+HARD_SHARE = 1 / 3
+
+Value = Callable[[ResultRow], float | None]
+"""A number of a run, None where the row does not say."""
+
+
+@dataclass(frozen=True)
+class PaperCosts:
+    """What a unit of work costs in a setting like the paper's [s].
+
+    Attributes
+    ----------
+    state_check: PyBullet asked for all distances of a Panda in this kitchen, 0.7 ms to itself and 2.8 ms to
+        obstacles.
+    projection: Newton's method in Python, on numpy and a compiled kinematics library. The published code does
+        more in Python, so this is a lower bound and favours planners that project much.
+    """
+
+    state_check: float = 3.5e-3
+    projection: float = 2e-5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < math.inf:
+                raise InvalidInputError(f"paper cost {name!r} is {value}; give seconds, 0 or more")
+
+    def of(self, row: ResultRow) -> float | None:
+        """Search at these costs and networks as measured [s]; goals and simplification are left out."""
+        if row.n_projections is None or row.n_state_checks is None:
+            return None
+        networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
+        return row.n_projections * self.projection + row.n_state_checks * self.state_check + networks
+
+
+def work(row: ResultRow) -> float | None:
+    """Projections and state checks of the search."""
+    if row.n_projections is None or row.n_state_checks is None:
+        return None
+    return float(row.n_projections + row.n_state_checks)
+
+
+def own_time(row: ResultRow) -> float | None:
+    """Total time without goal inverse kinematics, which is the same for all planners [s]."""
+    return None if row.t_total_s is None else row.t_total_s - (row.t_goals_s or 0.0)
+
+
+RATIOS: Mapping[str, tuple[str, Value]] = {
+    "work_ratio": ("work", work),
+    "time_ratio": ("time", lambda row: row.t_total_s),
+    "own_time_ratio": ("time without goals", own_time),
+    "length_ratio": ("path length", lambda row: row.path_length_rad),
+}
+"""What the split compares: metric name, its label, its value."""
+
+
+def censored(rows: Sequence[ResultRow], value: Value) -> list[float]:
+    """Values of solved runs and +inf for failures; nothing when no solved run has one."""
+    found = [value(row) for row in rows if row.solved]
+    defined = [number for number in found if number is not None]
+    if found and not defined:
+        return []
+    return defined + [math.inf] * (len(rows) - len(found))
+
+
+def paired_ratio(
+    rows: Iterable[ResultRow],
+    baseline: Iterable[ResultRow],
+    value: Value,
+    confidence: float,
+    problems: Collection[str] | None = None,
+) -> Interval:
+    """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
+
+    Runs are paired by problem and seed. Seeds of one problem are not independent: their logarithms are averaged
+    first. Values that are not positive have no ratio and are left out.
+
+    Parameters
+    ----------
+    problems
+        Names of those to count; all when None.
+    """
+    reference = {problem_key(row): value(row) for row in baseline if row.solved}
+    logs: dict[str, list[float]] = {}
+    for row in rows:
+        own, other = value(row) if row.solved else None, reference.get(problem_key(row))
+        if own and other and min(own, other) > 0.0 and (problems is None or row.problem in problems):
+            logs.setdefault(row.problem, []).append(math.log(own / other))
+    if not logs:
+        return UNDEFINED
+    ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
+    ones = np.ones(len(ratios))
+    return paired_ratio_interval(ratios, ones, np.random.default_rng(0), confidence=confidence)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Names of the easy and the hard problems."""
+
+    easy: frozenset[str]
+    hard: frozenset[str]
+
+    @property
+    def parts(self) -> Mapping[str, frozenset[str]]:
+        """All problems, the easy ones, the hard ones."""
+        return {"all": self.easy | self.hard, "easy": self.easy, "hard": self.hard}
+
+
+def split_by_work(reference: Iterable[ResultRow]) -> Split:
+    """Split the problems of one planner's rows: hard are those above two thirds of the others in median work.
+
+    The median is over seeds; a failed run's work is infinite. At most a third are hard: ties are easy.
+    Problems whose rows do not say their work are left out.
+    """
+    efforts: dict[str, list[float]] = {}
+    for row in reference:
+        effort = work(row) if row.solved else math.inf
+        if effort is not None:
+            efforts.setdefault(row.problem, []).append(effort)
+    medians = {problem: _median(values) for problem, values in efforts.items()}
+    limit = quantile(list(medians.values()), 1.0 - HARD_SHARE)
+    hard = frozenset(problem for problem, median in medians.items() if limit is not None and median > limit)
+    return Split(frozenset(medians) - hard, hard)
+
+
+def split_metric(ratio: str, part: str) -> str:
+    """Name of the metric `ratio` on a part of the split."""
+    return f"{ratio}_{part}_of_{REFERENCE}"
+
+
+def _median(values: Sequence[float]) -> float:
+    ordered = sorted(values)
+    return ordered[(len(ordered) - 1) // 2] / 2 + ordered[len(ordered) // 2] / 2

@@ -1,0 +1,257 @@
+"""Regions on moving frames: residual, Jacobian with the door's column, projection, json; doors opened and certified."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.constraints.inverse_kinematics import sample_region
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain, region_from_dict
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.articulation import take_out
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.scene import SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box
+from experiments.suites.door_task import (
+    BAR,
+    OPEN,
+    STANDOFF,
+    bar_pose,
+    door_problem,
+    door_world,
+    handle_region,
+)
+from experiments.suites.place_task import DOOR
+
+KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
+DRAWER = "indigo_drawer_top"
+
+
+@pytest.fixture(scope="module")
+def door_robot():
+    return door_world()[1]
+
+
+@pytest.fixture(scope="module")
+def drawer_robot(panda):
+    return robot_from_source(
+        {**panda.source, "articulated": take_out(kitchen(), DRAWER).articulated.to_dict()}
+    )
+
+
+@pytest.fixture(scope="module")
+def door():
+    """A door problem with its goals."""
+    return with_sampled_goals(door_problem(0))[0]
+
+
+@pytest.fixture(scope="module")
+def opened(door):
+    return solve(door, planner_named("birrt"), Budget(iterations=5000), seed=0)
+
+
+def random_pose(rng):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    T[:3, 3] = rng.uniform(-0.5, 0.5, 3)
+    return T
+
+
+def random_chain(rng, base):
+    centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
+    return TaskSpaceRegionChain(
+        random_pose(rng), random_pose(rng), np.stack([centre - width, centre + width], axis=1), base
+    )
+
+
+def displacement(robot, chain, q):
+    """Position and rotation vector (6,) of the hand in the chain's frame w, by pinocchio and scipy."""
+    T = np.linalg.inv(robot.pose(q, chain.base) @ chain.T0_w) @ robot.pose(q) @ np.linalg.inv(chain.Tw_e)
+    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+
+
+def cases(robot, bases, count):
+    """(chain, q, displacement) away from kinks."""
+    rng = np.random.default_rng(7)
+    while count:
+        chain = random_chain(rng, bases[count % len(bases)])
+        q = robot.random_configurations(rng, 1)[0]
+        x = displacement(robot, chain, q)
+        if np.linalg.norm(x[3:]) < np.pi - 0.1 and np.abs(x[:, None] - chain.Bw).min() > KINK:
+            count -= 1
+            yield chain, q, x
+
+
+def parts_of(robot, name):
+    return [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
+
+
+@pytest.mark.parametrize("name", [DOOR, DRAWER])
+def test_residual_is_the_definition(request, name):
+    robot = request.getfixturevalue("door_robot" if name == DOOR else "drawer_robot")
+    for chain, q, x in cases(robot, [*parts_of(robot, name), "panda_link3"], 60):
+        lower, upper = chain.Bw.T
+        expected = np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0)
+        np.testing.assert_allclose(RegionConstraint(robot, (chain,)).residual(q), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [DOOR, DRAWER])
+def test_jacobian_is_the_derivative(request, name):
+    """All eight columns; that of the door or drawer is not zero."""
+    robot = request.getfixturevalue("door_robot" if name == DOOR else "drawer_robot")
+    h, largest = 1e-6, 0.0
+    for chain, q, _ in cases(robot, parts_of(robot, name), 40):
+        constraint = RegionConstraint(robot, (chain,))
+        residual, jacobian = constraint.residual_and_jacobian(q, full=True)
+        columns = [
+            (displacement(robot, chain, q + h * e) - displacement(robot, chain, q - h * e)) / (2 * h)
+            for e in np.eye(8)
+        ]
+        np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), atol=1e-6)
+        largest = max(largest, np.abs(jacobian[:, 7]).max())
+        np.testing.assert_array_equal(constraint.jacobian(q), np.where(residual[:, None] != 0, jacobian, 0.0))
+    assert largest > 0.1
+
+
+def test_joints_below_the_base_do_not_count(door_robot):
+    """A region on a link of the arm: joints before that link, and the door, move nothing in it."""
+    rng = np.random.default_rng(0)
+    chain = random_chain(rng, "panda_link4")
+    jacobian = RegionConstraint(door_robot, (chain,)).jacobian(
+        door_robot.random_configurations(rng, 5), full=True
+    )
+    assert not jacobian[:, :, [0, 1, 2, 3, 7]].any() and jacobian[:, :, 4:7].any(axis=(0, 1)).all()
+
+
+def test_a_batch_of_mixed_regions(door_robot):
+    """A chain and a region in the world stack their rows."""
+    rng = np.random.default_rng(1)
+    chain = random_chain(rng, BAR)
+    world = TaskSpaceRegion(random_pose(rng), random_pose(rng), np.tile((-0.1, 0.1), (6, 1)))
+    q = door_robot.random_configurations(rng, 4)
+    both = RegionConstraint(door_robot, (chain, world))
+    alone = [RegionConstraint(door_robot, (member,)).residual(q) for member in (chain, world)]
+    assert both.dim == 12 and np.array_equal(both.residual(q), np.concatenate(alone, axis=1))
+
+
+def test_projection_lands_on_the_handle(door_robot):
+    """From anywhere, door and arm move until the hand holds the bar, by pinocchio's poses."""
+    chain = handle_region()
+    constraint = RegionConstraint(door_robot, (chain,))
+    starts = door_robot.random_configurations(np.random.default_rng(0), 100)
+    landed = [q for start in starts if (q := constraint.project(start)) is not None]
+    assert len(landed) > 50 and constraint.dim == 5
+    angles = np.array(landed)[:, 7]
+    assert angles.min() >= -1.57 and angles.max() <= 0.0 and np.ptp(angles) > 1.0
+    for q in landed:
+        x = displacement(door_robot, chain, q)
+        assert np.linalg.norm(x[:5]) <= TOLERANCE + 1e-9
+        bar = np.linalg.inv(door_robot.pose(q)) @ door_robot.pose(q, BAR)
+        np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, STANDOFF), atol=2e-4)
+
+
+def test_the_region_where_the_base_stands(door_robot):
+    chain = random_chain(np.random.default_rng(2), BAR)
+    q = door_robot.random_configurations(np.random.default_rng(3), 1)[0]
+    there = chain.at(door_robot.pose(q, BAR))
+    assert type(there) is TaskSpaceRegion
+    fixed, hanging = (RegionConstraint(door_robot, (member,)).residual(q) for member in (there, chain))
+    np.testing.assert_allclose(fixed, hanging, atol=1e-9)
+
+
+def test_goals_have_the_door_where_the_hand_takes_it(door):
+    """Goal poses say nothing of the door: its angle comes from the held handle."""
+    assert len(door.goals) == 20
+    np.testing.assert_allclose(door.goals[:, 7], OPEN, atol=1e-5)
+    np.testing.assert_allclose(door.start[7], 0.0, atol=1e-5)
+    free = sample_region(
+        door.robot, door.goal_region, door.collision_checker(), np.random.default_rng(0), count=5
+    )
+    assert np.abs(free.configurations[:, 7] - OPEN).max() > 0.1
+
+
+@pytest.mark.parametrize("turn", [np.inf, 0.7])
+def test_json_round_trip(turn):
+    chain = handle_region(turn, slide=0.01)
+    again = region_from_dict(json.loads(json.dumps(chain.to_dict())))
+    assert type(again) is TaskSpaceRegionChain and again.to_dict() == chain.to_dict()
+    np.testing.assert_array_equal(again.Bw, chain.Bw)
+    world = chain.at(np.eye(4))
+    assert type(region_from_dict(world.to_dict())) is TaskSpaceRegion
+
+
+def test_bad_chains_are_refused(door, panda):
+    with pytest.raises(UnknownChoiceError, match=r"'fridge/handle'.*panda_hand.*handle_bar"):
+        replace(door, constraint=(replace(handle_region(), base="fridge/handle"),))
+    with pytest.raises(UnknownChoiceError, match=r"frame of robot panda '.*handle_bar'.*panda_hand"):
+        handle_region().reference_link(panda)
+    with pytest.raises(InvalidInputError, match="'goal_region' hangs on"):
+        replace(door, goal_region=handle_region())
+    with pytest.raises(InvalidInputError, match="'base' must name a frame"):
+        region_from_dict(handle_region().to_dict() | {"base": 3})
+    with pytest.raises(InvalidInputError, match="'base' is missing"):
+        TaskSpaceRegionChain.from_dict(handle_region().at(np.eye(4)).to_dict())
+
+
+def handle_errors(problem, states, resolution=0.002):
+    """Largest distance [m] and angle [rad] of the hand from its place at the bar, the turn about it aside."""
+    metres = radians = 0.0
+    for a, b in pairwise(states):
+        for s in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / resolution)))):
+            x = displacement(problem.robot, handle_region(), a + s * (b - a))
+            metres = max(metres, float(np.linalg.norm(x[:3])))
+            radians = max(radians, float(np.linalg.norm(x[3:5])))
+    return metres, radians
+
+
+@pytest.mark.parametrize("name", ["birrt", "ompl-projected", "atlas-rrt", "tb-rrt"])
+def test_every_planner_opens_the_door(panda, door, name):
+    """Certified, the hand at the handle all along, and a state where the next phase can open its fingers."""
+    found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
+    assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
+    states = found.simplified.path.states
+    assert abs(states[0, 7]) < 1e-5 and abs(states[-1, 7] - OPEN) < 1e-5
+    metres, radians = handle_errors(door, states)
+    assert metres < 2e-3 and radians < np.deg2rad(0.5)
+    scene = kitchen(door_angles={DOOR: float(states[-1, 7])})
+    np.testing.assert_allclose(scene[BAR].T_world_object, bar_pose(OPEN), atol=1e-5)
+    assert not CollisionChecker(panda, scene).in_collision(states[-1, :7])
+
+
+def test_the_exact_backend_opens_the_door(door):
+    found = solve(door, planner_named("birrt"), Budget(iterations=5000), seed=0, backend="exact")
+    assert found.solved
+
+
+def test_the_certificate_sees_a_hand_that_lets_go(door, opened):
+    states = opened.simplified.path.states.copy()
+    assert certify(door, Path(states)).valid
+    states[len(states) // 2, 7] += 0.01
+    reasons = certify(door, Path(states)).reasons
+    assert len(reasons) == 1 and reasons[0].startswith("off the manifold")
+
+
+def test_the_certificate_sees_the_door_hit_something(door, opened):
+    """A brick where the panel's upper end passes, out of the arm's reach of the way."""
+    brick = SceneObject("brick", Box((0.1, 0.1, 0.1)), pose((0.35, -0.3, 1.33)))
+    blocked = replace(door, scene=door.scene.with_objects(brick))
+    checker = blocked.collision_checker()
+    assert not checker.in_collision(door.start)
+    assert f"in collision: {DOOR}/panel and brick" in certify(blocked, opened.simplified.path).reasons
+
+
+def test_the_certificate_sees_an_end_with_the_door_elsewhere(door, opened):
+    """The goal's hand region, its goals left out: a path that stops half way has not opened the door."""
+    half = opened.simplified.path.states[: len(opened.simplified.path.states) // 2]
+    reasons = certify(replace(door, goals=np.empty((0, 8))), Path(half)).reasons
+    assert reasons == ("does not end at a goal",)

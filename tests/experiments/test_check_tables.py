@@ -1,0 +1,231 @@
+"""The table regression turns red when a planner or a committed table changes, and says where."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods import table
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.results.store import ResultRow, RunStore
+from experiments import regression
+from experiments.regression import CASES, EXPECTED, Case, Expectations, Outcome, compare, made_with, measure
+from paper_tables.committed import RESULTS, committed_directories, differing_cells
+from paper_tables.render import render_directory
+
+FEW = (Case("birrt", 2, 0, 20_000), Case("birrt", 2, 1, 20_000), Case("ompl-projected", 2, 1, 20_000))
+HERE = {"cpu_model": "this one", "numba": "1"}
+ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
+
+
+@pytest.fixture(scope="module")
+def few():
+    """Outcomes of FEW by the planners as they are."""
+    return measure(FEW)
+
+
+class NearStart:
+    """A sampler that never looks anywhere but around one configuration."""
+
+    name = "near-start"
+
+    def __init__(self, q):
+        self.q = q
+
+    def sample(self, rng, count):
+        return self.q + 1e-3 * rng.standard_normal((count, len(self.q)))
+
+
+class BlindBiRRT(BiRRT):
+    """birrt with a sabotaged sampler."""
+
+    def plan(self, space, start, goals, sampler, budget, rng):
+        return super().plan(space, start, goals, NearStart(start), replace(budget, iterations=50), rng)
+
+
+# ---------------------------------------------------------------- runs
+
+
+def test_runs_repeat_whatever_ran_before(few):
+    again = measure(FEW[::-1])
+    assert again[::-1] == few
+    assert compare(Expectations(HERE, few), few, HERE).differences == ()
+    assert len({item.values["path_sha256"] for item in few}) == len(FEW)
+
+
+def test_a_changed_planner_turns_red(few, monkeypatch):
+    monkeypatch.setitem(table.PLANNERS, "birrt", lambda: BiRRT(extend_both=not BiRRT().extend_both))
+    found = compare(Expectations(HERE, few), measure(FEW), HERE)
+    assert found.mode.startswith("exactly")
+    assert len(found.differences) == 2, "both runs of birrt, and none of ompl-projected"
+    assert found.differences[0].startswith("birrt, problem 2, seed 0, 20000 iterations: n_iterations was ")
+
+
+def test_a_broken_planner_turns_red_also_on_another_machine(few, monkeypatch):
+    monkeypatch.setitem(table.PLANNERS, "birrt", BlindBiRRT)
+    found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
+    assert "by bounds, not bit for bit, since cpu_model this one -> another one" in found.mode
+    assert [line.partition(": ")[2] for line in found.differences] == [
+        "status was solved, is iteration_limit"
+    ] * 2
+
+
+def outcome(seed=0, planner="birrt", **values):
+    plain = dict.fromkeys(regression.COLUMNS, 100) | {
+        "status": "solved",
+        "path_length_rad": 8.0,
+        "path_sha256": "a",
+    }
+    return Outcome(Case(planner, 1, seed, 10), plain | values)
+
+
+@pytest.mark.parametrize(
+    ("changes", "exactly", "by_bounds"),
+    [
+        ([{}, {}], [], []),
+        ([{"path_sha256": "b"}, {}], ["path_sha256 was a, is b"], []),
+        ([{"path_length_rad": 8.000001}, {}], ["path_length_rad was 8.0, is 8.000001"], []),
+        ([{"n_projections": 450}, {}], ["n_projections was 100, is 450"], []),
+        ([{"n_projections": 2000}] * 2, ["n_projections was 100"] * 2, ["mean of n_projections: 20 times"]),
+        ([{"n_state_checks": 10}] * 2, ["n_state_checks was 100"] * 2, ["mean of n_state_checks: 0.11 times"]),
+        ([{"path_length_rad": 11.0}] * 2, ["path_length_rad was 8.0"] * 2, []),
+        ([{"path_length_rad": 13.0}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 1.62 times"]),
+        ([{"path_length_rad": 3.9}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 0.49 times"]),
+        ([{"status": "timeout"}, {}], ["status was solved, is timeout"], ["status was solved, is timeout"]),
+    ],
+)  # fmt: skip
+def test_equality_here_and_stated_bounds_elsewhere(changes, exactly, by_bounds):
+    expected = Expectations(HERE, (outcome(0), outcome(1)))
+    outcomes = [outcome(seed, **values) for seed, values in enumerate(changes)]
+    for here, wanted in ((HERE, exactly), (ELSEWHERE, by_bounds)):
+        found = compare(expected, outcomes, here).differences
+        assert len(found) == len(wanted)
+        assert all(words in line for words, line in zip(wanted, found, strict=True)), found
+
+
+def test_runs_without_expectation_and_expectations_without_run_are_named():
+    found = compare(Expectations(HERE, (outcome(0), outcome(1))), [outcome(1), outcome(2)], HERE).differences
+    assert [line.split(", ")[2] for line in found] == ["seed 0", "seed 2"]
+
+
+def test_expectations_come_back_exactly(few, tmp_path):
+    expected = Expectations(made_with(), few)
+    expected.save(tmp_path / "e.json")
+    assert Expectations.load(tmp_path / "e.json") == expected
+    assert [path.name for path in tmp_path.iterdir()] == ["e.json"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}'),
+        pytest.param("[" * 100_000, id="nested too deeply"),
+    ],
+)
+def test_unreadable_expectations_name_the_cure(tmp_path, text):
+    path = tmp_path / "e.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InvalidInputError, match=r"e\.json: .*check-tables --update") as error:
+        Expectations.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
+    committed = Expectations.load(EXPECTED)
+    assert sorted(item.case for item in committed.outcomes) == sorted(CASES)
+    assert {case.planner for case in CASES} == set(table.PLANNERS)
+    assert {item.values["status"] for item in committed.outcomes} == {"solved", "iteration_limit"}
+
+
+# ---------------------------------------------------------------- tables
+
+
+@pytest.fixture
+def results(tmp_path):
+    """A folder of results with one directory of rendered rows."""
+    directory = tmp_path / "results" / "place-task"
+    rng = np.random.default_rng(0)
+    with RunStore.open(directory, {"cutoff_s": 10.0}) as store:
+        for problem in range(8):
+            for planner in ("birrt", "ompl-projected"):
+                time, length = rng.uniform(0.1, 2.0), rng.uniform(5.0, 9.0)
+                store.append(
+                    ResultRow(
+                        suite="place-task", problem=str(problem), planner=planner, seed=0, backend="compiled",
+                        status="solved", solved=True, certified=True, t_total_s=time, path_length_rad=length,
+                    )
+                )  # fmt: skip
+    render_directory(directory)
+    return directory.parent
+
+
+def tampered(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_untouched_tables_are_equal(results):
+    (directory,) = committed_directories(results)
+    before = {path.name: path.read_bytes() for path in directory.iterdir()}
+    assert differing_cells(directory) == []
+    assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("place_task.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", "committed '21.95', rendered '22.95'"]),
+        ("place_task.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
+        ("place_task.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', rendered '22.95'"]),
+        ("place_task.md", "### Notes", "###  Notes", ["committed '###  Notes', rendered '### Notes'"]),
+        ("place_task.md", "| birrt", "|  birrt", ["spaces differ"]),
+    ],
+)  # fmt: skip
+def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
+    directory = results / "place-task"
+    tampered(directory / name, old, new)
+    (line,) = differing_cells(directory)
+    assert line.startswith(f"{directory / name}, line ") and line.endswith(f"cvqmpt table {directory}")
+    assert all(word in line for word in words), line
+
+
+def test_changed_rows_and_missing_tables_are_noticed(results):
+    directory = results / "place-task"
+    (directory / "place_task.tex").unlink()
+    assert "place_task.tex: missing" in "".join(differing_cells(directory))
+    tampered(directory / "runs.csv", ",true,true,", ",false,,")
+    assert len(differing_cells(directory)) == 3
+    (directory / "provenance.json").unlink()
+    assert "cannot be rendered" in "".join(differing_cells(directory))
+
+
+def test_the_committed_tables_are_a_fresh_rendering():
+    assert [line for directory in committed_directories(RESULTS) for line in differing_cells(directory)] == []
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(regression, "CASES", FEW[:1])
+    words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(results)]
+    assert main([*words, "--update"]) == 0
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert (
+        "runs compared exactly" in out
+        and "tables of 1 results directories rendered anew: no difference" in out
+    )
+    monkeypatch.setitem(table.PLANNERS, "birrt", BlindBiRRT)
+    assert main(words) == 1
+    assert (
+        "  differs: birrt, problem 2, seed 0, 20000 iterations: status was solved" in capsys.readouterr().out
+    )
+    assert main([*words, "--update"]) == 0 and main(words) == 0
+    tampered(results / "place-task" / "place_task.md", "22.95", "21.95")
+    assert main(words) == 1
+    assert "committed '21.95', rendered '22.95'" in capsys.readouterr().out

@@ -1,0 +1,282 @@
+"""The latent update's figures: numbers of a small model with random weights, the Markov bound, the command."""
+
+import csv
+import json
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from small_models import random_checkpoint
+
+from cli.main import main
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.models.checkpoint import save_checkpoint
+from cvqmpt_lab.models.weights_folder import checkpoint_sha256
+from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentSettings
+from cvqmpt_lab.prediction.predictor import Predictor
+from cvqmpt_lab.show.still import Camera, still_image
+from experiments.figures.drawing import cloud_figure, figure_bytes, histogram_figure
+from experiments.figures.hand_poses import HandPoses, hand_change
+from experiments.figures.histogram import THRESHOLDS, Histogram, MarkovTail, code_changes, value_rows
+from experiments.figures.latent_update import FAR, NEAR, UpdateSettings, squared_residual, update_latents
+from experiments.figures.run_figure import FigureRequest
+from experiments.suites.place_task import UnsolvableProblem
+
+SETTINGS = UpdateSettings(samples=300, latent=LatentSettings(steps=3))
+
+
+@pytest.fixture(scope="module")
+def checkpoint(panda):
+    return random_checkpoint(panda)
+
+
+@pytest.fixture(scope="module")
+def few_goals(problem):
+    return problem.with_goals(problem.goals[:2])
+
+
+@pytest.fixture(scope="module")
+def update(few_goals, checkpoint):
+    return update_latents(few_goals, checkpoint, SETTINGS)
+
+
+# ---------------------------------------------------------------- pure functions
+
+
+def test_markov_bound_by_hand():
+    markov = MarkovTail.of(np.array([0.0, 1.0, 2.0, 5.0]), (0.5, 1.0, 2.0, 4.0, 8.0))
+    np.testing.assert_array_equal(markov.tail, (0.75, 0.75, 0.5, 0.25, 0.0))
+    np.testing.assert_array_equal(markov.bound, (4.0, 2.0, 1.0, 0.5, 0.25))
+
+
+def test_markov_bound_is_reached_by_two_values():
+    """All of the mean at k itself: the inequality is an equality there."""
+    markov = MarkovTail.of(np.array([0.0, 0.0, 0.0, 4.0]), (4.0,))
+    assert markov.tail == markov.bound == 0.25
+
+
+def test_markov_tail_of_a_known_distribution():
+    values = np.random.default_rng(0).chisquare(2, 200_000)
+    markov = MarkovTail.of(values)
+    np.testing.assert_allclose(markov.tail, chi2.sf(THRESHOLDS, 2), atol=5e-3)
+    np.testing.assert_allclose(markov.bound, 2.0 / np.array(THRESHOLDS), rtol=1e-2)
+
+
+@pytest.mark.parametrize(("values", "k"), [([], (1.0,)), ([1.0], (0.0,)), ([1.0], (-1.0, 2.0))])
+def test_markov_bound_refuses(values, k):
+    with pytest.raises(InvalidInputError, match="Markov bound"):
+        MarkovTail.of(np.array(values), k)
+
+
+def test_histogram_by_hand():
+    before, after = np.array([0.0, 0.4, 1.0, 1.9, 100.0]), np.array([0.0, 0.1] + [2.0] * 600)
+    histogram = Histogram.of(before, after, bins=4)
+    np.testing.assert_allclose(histogram.edges, (0.0, 0.5, 1.0, 1.5, 2.0, 100.0))
+    np.testing.assert_array_equal(histogram.before, (2, 0, 1, 1, 1))
+    np.testing.assert_array_equal(histogram.after, (2, 0, 0, 0, 600))
+    assert histogram.beyond == 1
+
+
+@pytest.mark.parametrize("values", [[0.0, 0.0], [3.0], [0.0] * 999 + [5.0]])
+def test_histogram_counts_every_value(values):
+    histogram = Histogram.of(np.array(values), np.zeros(3))
+    assert histogram.before.sum() == len(values) and histogram.after.sum() == 3
+    assert (np.diff(histogram.edges) > 0.0).all()
+
+
+@pytest.mark.parametrize("values", [[], [-1.0], [np.nan], [np.inf]])
+def test_histogram_refuses(values):
+    with pytest.raises(InvalidInputError, match="finite values from 0"):
+        Histogram.of(np.array(values), np.array(values))
+
+
+# ---------------------------------------------------------------- an update
+
+
+def test_draws_are_those_of_the_predicted_gaussians(update):
+    noise = np.random.default_rng(1).standard_normal((40_000, 7))
+    draws = update.before.draws(5, noise)
+    sigma = np.sqrt(np.diag(update.prediction.covariances[5]))
+    np.testing.assert_allclose(draws.mean(axis=0), update.prediction.means[5], atol=0.03 * sigma.max())
+    scale = sigma[:, None] * sigma
+    np.testing.assert_allclose(np.cov(draws.T) / scale, update.prediction.covariances[5] / scale, atol=0.03)
+
+
+def test_g_is_what_the_update_minimises(update, few_goals, checkpoint):
+    predictor = Predictor(checkpoint, few_goals.robot)
+    objective = LatentObjective(
+        predictor.decoder, predictor.configurations.lower, predictor.configurations.range
+    )
+    for z, g in ((update.prediction.z, update.g_before), (update.optimized.z, update.g_after)):
+        expected = objective.value(z, update.prediction.refinement, few_goals.manifold, update.noise)
+        np.testing.assert_allclose(g.mean(axis=1), expected, rtol=1e-3)
+
+
+def test_the_update_helps_and_leaves_kept_codes_alone(update):
+    kept = update.optimized.kept
+    np.testing.assert_array_equal(update.g_after[kept], update.g_before[kept])
+    assert (~kept).sum() > 0
+    assert update.g_after.mean() < 0.97 * update.g_before.mean()
+
+
+def test_the_measured_tail_never_exceeds_the_bound(update):
+    for g in (*update.g_before, *update.g_after):
+        markov = MarkovTail.of(g)
+        assert (markov.tail <= markov.bound).all()
+        assert markov.tail.max() > 0.0
+
+
+def test_representatives_are_far_and_near_by_rank(update):
+    chosen, g = update.representatives(), update.optimized.g_before
+    assert set(chosen) == {FAR, NEAR}
+    assert (g < g[chosen[FAR]]).mean() == pytest.approx(0.9, abs=2.0 / len(g))
+    assert (g < g[chosen[NEAR]]).mean() == pytest.approx(0.1, abs=2.0 / len(g))
+    assert [change.role for change in code_changes(update)] == [FAR, NEAR]
+
+
+def test_updates_repeat_and_seeds_differ(update, few_goals, checkpoint):
+    again = update_latents(few_goals, checkpoint, SETTINGS)
+    np.testing.assert_array_equal(again.g_after, update.g_after)
+    other = update_latents(few_goals, checkpoint, UpdateSettings(seed=1, samples=300))
+    assert not np.array_equal(other.noise, update.noise)
+
+
+def test_satisfied_share_is_that_of_the_constraint(update, few_goals):
+    row = value_rows(update)[3]
+    draws = update.before.draws(3, update.noise)
+    assert row[3] == pytest.approx(squared_residual(few_goals.manifold, draws).mean(), abs=1e-12)
+    assert row[5] == pytest.approx(
+        np.mean([np.linalg.norm(few_goals.manifold.residual(q)) == 0.0 for q in draws]), abs=1e-12
+    )
+
+
+def test_hands_by_another_kinematics(update, few_goals):
+    change = hand_change(update, 2, count=20)
+    for i, q in enumerate(change.after.q):
+        T = few_goals.robot.pose(q)
+        np.testing.assert_allclose(change.after.positions[i], T[:3, 3], atol=1e-9)
+        assert np.cos(change.after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
+    upright = HandPoses.of(few_goals.robot, few_goals.start[None])
+    assert upright.tilt[0] < 1e-4
+
+
+def test_figures_repeat_byte_for_byte(update):
+    first, again = (figure_bytes(histogram_figure(code_changes(update)), "svg") for _ in range(2))
+    assert first == again and b"<svg" in first
+
+
+def test_the_scene_is_drawn_where_its_camera_puts_it(few_goals):
+    camera, size = Camera(), (120, 90)
+    image = still_image(few_goals, few_goals.start, size, camera)
+    other = still_image(few_goals, few_goals.goals[0], size, camera)
+    assert image.shape == (90, 120, 3) and image.dtype == np.uint8
+    rows, columns = np.nonzero((image != other).any(axis=2))
+    for q in (few_goals.start, few_goals.goals[0]):  # the hand is where the pictures differ
+        column, row, _ = camera.screen(few_goals.robot.pose(q)[:3, 3], size[::-1])
+        assert np.hypot(rows - row, columns - column).min() < 2.0
+
+
+def test_the_cloud_is_drawn_beside_its_scene(update):
+    figure = cloud_figure(update.problem, update.cloud)
+    scene, cloud, _ = figure.axes
+    (drawn,) = cloud.collections
+    assert len(drawn.get_offsets()) == len(update.cloud) == 1024 and len(scene.images) == 1
+    assert figure_bytes(figure, "png")[:4] == b"\x89PNG"
+
+
+def test_no_problem_or_no_codes_is_said(few_goals, panda):
+    with pytest.raises(InvalidInputError, match="problem 3 has no start: no way; choose another"):
+        update_latents(UnsolvableProblem("3", "no way"), random_checkpoint(panda), SETTINGS)
+    silent = random_checkpoint(panda, goal_bias=-1e6)
+    with pytest.raises(InvalidInputError, match="predicted 0 codes"):
+        update_latents(few_goals, silent, SETTINGS)
+
+
+@pytest.mark.parametrize(("name", "value"), [("samples", 0), ("seed", -1)])
+def test_settings_are_checked(name, value):
+    with pytest.raises(InvalidInputError, match=f"{name} of the latent update is {value}"):
+        UpdateSettings(**{name: value})
+
+
+# ---------------------------------------------------------------- the command
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory, checkpoint):
+    folder = tmp_path_factory.mktemp("weights") / "model"
+    save_checkpoint(folder, checkpoint)
+    return folder
+
+
+def rows_of(path):
+    with path.open(newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+def test_the_command_writes_the_histogram(tmp_path, model, capsys):
+    out = tmp_path / "histogram"
+    words = ["reproduce", "histogram", "--problem", "1", "--model", str(model), "--out", str(out)]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert {path.name for path in out.iterdir()} == {
+        "histogram.png", "histogram.svg", "histogram.csv", "values.csv", "markov.csv", "provenance.json",
+    }  # fmt: skip
+    assert (out / "histogram.png").read_bytes()[:4] == b"\x89PNG"
+    assert ET.parse(out / "histogram.svg").getroot().tag.endswith("svg")
+    for role in (FAR, NEAR):
+        bins = [row for row in rows_of(out / "histogram.csv") if row["role"] == role]
+        assert sum(int(row["before"]) for row in bins) == sum(int(row["after"]) for row in bins) == 2000
+        (value,) = [row for row in rows_of(out / "values.csv") if row["role"] == role]
+        for when in ("before", "after"):
+            tails = [r for r in rows_of(out / "markov.csv") if (r["role"], r["when"]) == (role, when)]
+            assert len(tails) == len(THRESHOLDS)
+            assert all(float(row["tail"]) <= float(row["bound"]) * (1.0 + 1e-5) for row in tails)
+            assert float(tails[0]["bound"]) * THRESHOLDS[0] == pytest.approx(
+                float(value[f"g_{when}"]), rel=1e-4
+            )
+        assert f"{role}: code {value['code']}" in printed
+    record = json.loads((out / "provenance.json").read_text())
+    assert record["model_hash"] == record["configuration"]["model_sha256"] == checkpoint_sha256(model)
+    assert record["configuration"]["problem"] == 1 and record["seeds"] == [0]
+    assert main([*words, "--seed", "1"]) == 2  # another configuration
+    assert "update.seed was 0, now 1" in capsys.readouterr().err
+
+
+def test_the_command_writes_the_concept_figure(tmp_path, model):
+    out = tmp_path / "concept"
+    assert main(["reproduce", "concept", "--model", str(model), "--out", str(out)]) == 0
+    rows = rows_of(out / "concept.csv")
+    assert [row["when"] for row in rows] == ["before"] * 120 + ["after"] * 120
+    for row in rows:
+        assert np.cos(float(row["tilt_rad"])) == pytest.approx(float(row["up_z"]), abs=1e-4)
+    assert (out / "concept.png").read_bytes()[:4] == b"\x89PNG"
+    assert ET.parse(out / "concept.svg").getroot().tag.endswith("svg")
+
+
+def test_files_of_others_are_left_alone(tmp_path, model, capsys):
+    (tmp_path / "thesis.tex").write_text("mine")
+    assert main(["reproduce", "histogram", "--model", str(model), "--out", str(tmp_path)]) == 2
+    assert "holds files without provenance.json" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["histogram", "--planners", "birrt"], "--planners does not go with histogram"),
+        (["concept", "--problems", "3"], "--problems does not go with concept"),
+        (["place-task", "--model", "x"], "--model does not go with place-task"),
+        (["histogram", "--seed", "-1"], "seed of the latent update is -1"),
+        (["histogram", "--problem", "150"], "unknown problem 150"),
+        (["histogram", "--model", "/nowhere"], "/nowhere"),
+    ],
+)
+def test_wrong_options_are_one_line(tmp_path, capsys, words, said):
+    assert main(["reproduce", *words, "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_unknown_figures_are_listed(tmp_path):
+    with pytest.raises(UnknownChoiceError, match="figure 'pie'; valid choices: histogram, concept"):
+        FigureRequest("pie", tmp_path)

@@ -1,0 +1,144 @@
+"""The place task: where the can stands, how it is grasped, and that every environment has a problem."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem, check_problem
+from experiments.suites.family_task import family_problem
+from experiments.suites.place_task import (
+    ENVIRONMENTS,
+    GOALS,
+    TUNING_ENVIRONMENTS,
+    can_com,
+    carried_can,
+    grasp_region,
+    place_problem,
+)
+from experiments.suites.table import SUITES, suite_named
+
+SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
+
+
+def yaw_about_can(T_world_hand):
+    """Yaw of the hand about the vertical [rad], 0 when it reaches along world x."""
+    return np.arctan2(T_world_hand[1, 2], T_world_hand[0, 2])
+
+
+@pytest.mark.parametrize(
+    ("environment", "u"), [(0, (0.5488135039, 0.7151893664)), (7, (0.0763082894, 0.7799187922))]
+)
+def test_can_position_formula(environment, u):
+    """First two uniforms of numpy's frozen legacy generator, as printed in numpy's own documentation of seed 0."""
+    link = (0.4 + 0.3 * u[0], -0.6 + 1.0 * u[1], 0.171)
+    np.testing.assert_allclose(can_com(environment), np.add(link, (-0.005, 0.010, 0.100)), atol=1e-9)
+
+
+def test_cans_stand_on_the_counter_in_front():
+    coms = np.array([can_com(e) for e in ENVIRONMENTS])
+    assert len(coms) == 150 and len(np.unique(coms, axis=0)) == 150
+    assert (coms.min(axis=0) >= (0.395, -0.59, 0.271)).all() and (
+        coms.max(axis=0) <= (0.695, 0.41, 0.271)
+    ).all()
+    assert not set(ENVIRONMENTS) & set(TUNING_ENVIRONMENTS)
+
+
+def test_grasps_are_from_the_side():
+    """Hand 0.11 m from the can's axis, pointing at it, 0.05 m above its centre, x up, yaw within 90 degrees."""
+    com, rng, yaws = np.array([0.5, -0.2, 0.271]), np.random.default_rng(0), []
+    for _ in range(200):
+        T = grasp_region(com).sample_pose(rng)
+        np.testing.assert_allclose(T[:3, 0], (0.0, 0.0, 1.0), atol=1e-12)
+        np.testing.assert_allclose(T[:3, 3] + 0.11 * T[:3, 2], com + (0.0, 0.0, 0.05), atol=1e-12)
+        yaws.append(yaw_about_can(T))
+    assert -np.pi / 2 <= min(yaws) < -1.4 and 1.4 < max(yaws) <= np.pi / 2
+
+
+def test_the_carried_can_stands_upright_where_it_was_grasped():
+    """Its axis is vertical through the centre of mass, its top 0.1475 m above, 5 mm of its bottom gone."""
+    com, can = np.array([0.5, -0.2, 0.271]), carried_can()
+    T = grasp_region(com).sample_pose(np.random.default_rng(1)) @ can.T_hand_object
+    np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(T[:2, 3], com[:2], atol=1e-12)
+    assert T[2, 3] + can.shape.height / 2 == pytest.approx(0.271 + 0.0265 + 0.121)
+    assert T[2, 3] - can.shape.height / 2 == pytest.approx(0.271 + 0.0265 - 0.121 + 0.005)
+    assert can.shape.radius == 0.0373
+
+
+@pytest.mark.parametrize("with_can", [False, True])
+def test_problems_are_sound(with_can):
+    """Start and goals: on the manifold, free with a margin, grasping the can here and on the shelf."""
+    problem = with_sampled_goals(place_problem(0, with_can))[0]
+    check_problem(problem)
+    assert len(problem.attachments) == with_can and problem.name == "0"
+    assert len(problem.goals) == GOALS
+    roomy = problem.collision_checker(0.0009)  # sampled with 1 mm
+    for q, com in [(problem.start, can_com(0)), *((q, SHELF_COM) for q in problem.goals)]:
+        T = problem.robot.pose(q)
+        np.testing.assert_allclose(T[:3, 3] + 0.11 * T[:3, 2], np.add(com, (0.0, 0.0, 0.05)), atol=1e-5)
+        assert abs(yaw_about_can(T)) <= np.pi / 2 + 1e-5 and not roomy.in_collision(q)
+    tilt = Rotation.from_matrix(problem.robot.pose(problem.start)[:3, :3]).apply((1, 0, 0))
+    np.testing.assert_allclose(tilt, (0.0, 0.0, 1.0), atol=1e-5)
+
+
+def test_problems_repeat(problem):
+    again = with_sampled_goals(place_problem(0))[0]
+    np.testing.assert_array_equal(again.start, problem.start)
+    np.testing.assert_array_equal(again.goals, problem.goals)
+    assert not np.array_equal(place_problem(1).start, problem.start)
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_suites_know_their_problems(suite):
+    last = len(suite_named(suite).problems) - 1
+    assert last == (49 if suite.startswith("family-") else 149)
+    assert suite_named(suite).problem(last).name == str(last)
+    for index in (-1, last + 1, 1000):
+        with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"):
+            suite_named(suite).problem(index)
+
+
+@pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
+def test_family_problems_start_and_end_upright_and_free(family):
+    for number in (0, 1001):
+        problem = family_problem(family, number)
+        check_problem(problem)
+        space = ConstrainedSpace(problem)
+        assert not motion_free(space.arrays, problem.start, problem.goals[0])
+
+
+def test_unknown_suites_are_listed():
+    with pytest.raises(
+        UnknownChoiceError, match="suite 'pick'; valid choices: place-task, place-task-with-can"
+    ):
+        suite_named("pick")
+
+
+def test_with_the_can_is_solved():
+    assert solve(
+        place_problem(7, with_can=True), planner_named("birrt"), Budget(iterations=20_000), seed=0
+    ).solved
+
+
+@pytest.mark.parametrize("with_can", [False, True])
+def test_every_environment_has_a_problem(with_can):
+    problems = [place_problem(e, with_can) for e in ENVIRONMENTS]
+    assert [p for p in problems if not isinstance(p, PlanningProblem)] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suite", ["place-task", "place-task-with-can"])
+def test_every_environment_is_solved(suite):
+    """By birrt within 20 000 iterations; every path certified, every start and goal checked by `solve`."""
+    planner, budget = planner_named("birrt"), Budget(iterations=20_000)
+    problems = [suite_named(suite).problem(e) for e in ENVIRONMENTS]
+    solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
+    assert min(len(s.problem.goals) for s in solutions) >= 1
+    failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}
+    assert failed == {}

@@ -1,0 +1,153 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.planning.near_shortest import NearShortestSettings, Spheroid, near_shortest
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.training.dataset import FULL_SCALE, open_dataset
+from experiments import training_data
+from experiments.training_data import Recipe, dataset_card, generate
+
+TINY = Recipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
+
+
+def make(out, recipe=TINY):
+    return generate(recipe, out, 1, ["test"], lambda done, total: None)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    out = tmp_path_factory.mktemp("data")
+    training_data.SCENES_PER_SHARD = 2
+    make(out)
+    yield out
+    training_data.SCENES_PER_SHARD = 16
+
+
+def shards(out):
+    return {path.name: path.read_bytes() for path in sorted((out / "shards").iterdir())}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_scenes_depend_on_their_number_alone_and_leave_room(family):
+    number = training_data.FIRST_SCENE
+    scene = family_scene(family, number)
+    assert scene == family_scene(family, number) and scene != family_scene(family, number + 1)
+    robot = panda()
+    states = robot.random_configurations(np.random.default_rng(0), 200)
+    blocked = CollisionChecker(robot, scene).in_collision_batch(states).mean()
+    assert 0.05 < blocked < 0.95
+
+
+def test_paths_are_free_and_join_their_ends(tiny):
+    robot = panda()
+    dataset = open_dataset(tiny)
+    checkers = {}
+    assert len(dataset.paths) >= 8
+    for path in range(len(dataset.paths)):
+        scene = int(dataset.paths.scene[path])
+        if scene not in checkers:
+            family = dataset.families[dataset.scenes.family[scene]]
+            made = family_scene(family, int(dataset.scenes.seed[scene]))
+            checkers[scene] = CollisionChecker(robot, made)
+        q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
+        steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+        assert steps.max() < training_data.SPACING + 1e-3
+        # waypoints cut corners by less than a tenth of their spacing
+        assert steps.sum() == pytest.approx(dataset.paths.length[path], rel=0.01)
+        assert dataset.paths.length[path] >= dataset.paths.straight[path] - 1e-4
+        assert not checkers[scene].in_collision(q[0]) and not checkers[scene].in_collision(q[-1])
+
+
+def test_shapes_and_probes_describe_the_same_scene(tiny):
+    robot, dataset = panda(), open_dataset(tiny)
+    for scene in range(len(dataset.scenes)):
+        made = family_scene(dataset.families[dataset.scenes.family[scene]], int(dataset.scenes.seed[scene]))
+        kind, _, pose = dataset.scenes.shapes(scene)
+        assert len(kind) == len(made.obstacles)
+        for item, T in zip(made.obstacles, pose, strict=True):
+            np.testing.assert_allclose(T, item.T_world_object[:3], atol=1e-6)
+        probes = dataset.scenes.probes
+        q = robot.lower + probes.joints[scene] / FULL_SCALE * (robot.upper - robot.lower)
+        blocked = CollisionChecker(robot, made).in_collision_batch(q)
+        assert (blocked == ~probes.free[scene]).mean() > 0.98  # rounding moves a few across
+
+
+def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path):
+    make(tmp_path)
+    assert shards(tmp_path) == shards(tiny)
+    (tmp_path / "shards" / "000001.npz").unlink()
+    make(tmp_path)
+    assert shards(tmp_path) == shards(tiny)
+    with (tmp_path / "shards.csv").open() as file:
+        assert {row["shard"] for row in csv.DictReader(file)} == {"000000", "000001", "000002"}
+
+
+def test_another_recipe_in_the_same_folder_is_refused(tiny):
+    with pytest.raises(InvalidInputError, match="another recipe"):
+        make(tiny, Recipe(6, 3, TINY.families, labels=TINY.labels))
+
+
+def test_the_card_counts_what_is_there(tiny):
+    dataset, card = open_dataset(tiny), dataset_card(tiny)
+    assert f"| all | {len(dataset.scenes)} | {(dataset.paths.twin_of < 0).sum()} |" in card
+    assert json.loads((tiny / "dataset.json").read_text())["recipe"]["scenes"] == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--scenes 2 --family castle", "castle"),
+        ("--scenes 2 --seed -1", "-1"),
+        ("--scenes 0", "'0'"),
+        ("--scenes 2 --out /dev/null/x", "/dev/null"),
+    ],
+)
+def test_bad_input_is_named(capsys, tmp_path, options, says):
+    words = ["data", "generate", *options.split()]
+    if "--out" not in words:
+        words += ["--out", str(tmp_path / "d")]
+    assert main(words) == 2
+    error = capsys.readouterr().err.strip()
+    assert says in error and error.count("\n") == 0
+
+
+def test_unknown_families_are_listed():
+    with pytest.raises(UnknownChoiceError, match="shelves"):
+        family_scene("castle", 0)
+
+
+def test_spheroid_keeps_detours_short():
+    rng = np.random.default_rng(0)
+    start, goal = np.zeros(7), np.array([1.0, 0.5, 0.0, 0.0, 0.0, -0.5, 0.2])
+    samples = Spheroid(start, goal, 1.5, np.full(7, -9.0), np.full(7, 9.0)).sample(rng, 2000)
+    detour = np.linalg.norm(samples - start, axis=1) + np.linalg.norm(samples - goal, axis=1)
+    assert detour.max() <= 1.5 + 1e-9
+    assert detour.max() > 1.49 and np.abs(samples.mean(axis=0) - goal / 2).max() < 0.02
+
+
+def test_more_restarts_make_shorter_labels():
+    scene = family_scene("cubes-spheres", training_data.FIRST_SCENE + 4)
+    space, lengths = training_data._space(scene), {1: [], 12: []}
+    rng = np.random.default_rng(0)
+    states = space.robot.random_configurations(rng, 600)
+    states = [q for q in states if space.valid(q)]
+    pairs = [(a, b) for a, b in zip(states[::2], states[1::2], strict=False) if np.linalg.norm(a - b) < 4.0]
+    pairs = [(a, b) for a, b in pairs if not motion_free(space.arrays, a, b)]
+    for a, b in pairs[:8]:
+        paths = {
+            k: near_shortest(space, a, b, np.random.default_rng(1), NearShortestSettings(restarts=k))
+            for k in lengths
+        }
+        if all(paths.values()):
+            for k, path in paths.items():
+                lengths[k].append(path.length)
+                np.testing.assert_array_equal(path.states[[0, -1]], [a, b])
+    assert len(lengths[1]) >= 3 and np.mean(lengths[12]) < np.mean(lengths[1])

@@ -1,0 +1,205 @@
+"""The compiled checker against coal: never optimistic, seldom pessimistic."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.exact_checker import MOST_BALLS, CollisionChecker, coal_shape
+from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from experiments.suites.place_task import carried_can
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+CONTACT = 1e-5  # [m] contact is not defined below
+CLOSE = 0.05  # [m] false collisions are counted among free states closer than this
+AROUND = 40  # states drawn around each contact
+NOTHING = Scene("nothing", ())
+
+
+def compiled_hits(robot, scene, states, attachments=(), margin=0.0):
+    """Whether the compiled checker calls each state colliding, (b,)."""
+    problem = PlanningProblem("test", robot, scene, HOME, HOME[None], attachments=attachments)
+    space = ConstrainedSpace(problem, settings=SpaceSettings(margin=margin))
+    return np.array([not space.valid(q) for q in states])
+
+
+def near_contact(checker, rng, count):
+    """States (count, n) scattered by 1e-6 to 5e-2 rad around contacts found by bisection."""
+    robot, n = checker.robot, count // AROUND
+    states = robot.random_configurations(rng, 400)
+    hit = checker.in_collision_batch(states)
+    free, colliding = (rng.choice(states[side], n) for side in (~hit, hit))
+    for _ in range(16):
+        middle = 0.5 * (free + colliding)
+        inside = checker.in_collision_batch(middle)[:, None]
+        free, colliding = np.where(inside, free, middle), np.where(inside, middle, colliding)
+    noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal((n, AROUND, robot.dof))
+    return np.clip(free[:, None] + noise / np.sqrt(robot.dof), robot.lower, robot.upper).reshape(
+        -1, robot.dof
+    )
+
+
+def compare(robot, scene, count, attachments=(), margin=0.0):
+    """Assert agreement on `count` uniform and `count` near-contact states."""
+    rng = np.random.default_rng(0)
+    exact, close = (CollisionChecker(robot, scene, attachments, margin + extra) for extra in (0.0, CLOSE))
+    for states in (robot.random_configurations(rng, count), near_contact(exact, rng, count)):
+        expected = exact.in_collision_batch(states)
+        answers = compiled_hits(robot, scene, states, attachments, margin)
+        missed = [exact.clearance(q) - margin for q in states[expected & ~answers]]
+        assert [depth for depth in missed if depth < -CONTACT] == []
+        false, narrow = (answers & ~expected).sum(), close.in_collision_batch(states[~expected]).sum()
+        assert expected.any() and narrow > 0 and false <= 0.05 * narrow
+
+
+def with_one_of_each():
+    """Shapes of every kind in odd poses around the arm."""
+    T = np.eye(4)
+    T[:3, :3] = [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]
+    corners = np.random.default_rng(1).uniform(-0.15, 0.15, (30, 3))
+    shapes = (Box((0.1, 0.3, 0.2)), Cylinder(0.08, 0.4), Sphere(0.12), ConvexMesh(corners))
+    places = ((0.4, 0.3, 0.4), (0.4, -0.4, 0.6), (-0.4, 0.3, 0.5), (0.3, 0.0, 0.9))
+    return Scene(
+        "one of each",
+        tuple(
+            SceneObject(f"object_{i}", s, pose(p) @ T)
+            for i, (s, p) in enumerate(zip(shapes, places, strict=True))
+        ),
+    )
+
+
+@pytest.mark.parametrize("count", [20_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_kitchen(panda, open_kitchen, count):
+    compare(panda, open_kitchen, count)
+
+
+def test_kitchen_with_the_carried_can(panda, open_kitchen):
+    compare(panda, open_kitchen, 5000, (carried_can(),))
+
+
+@pytest.mark.parametrize("margin", [1e-4, 0.03])
+def test_margins(panda, open_kitchen, margin):
+    compare(panda, open_kitchen, 2000, margin=margin)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_scenes(panda, seed):
+    compare(panda, random_scene(seed), 2000, (carried_can(),) if seed % 2 else ())
+
+
+def test_empty_scene_and_every_shape(panda):
+    compare(panda, NOTHING, 5000)
+    compare(panda, with_one_of_each(), 5000)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3)])
+def test_attachments_of_every_shape(panda, shape):
+    T_hand_object = pose((0.02, -0.03, 0.15), 0.4)
+    compare(panda, random_scene(5), 1000, (Attachment("tool", shape, T_hand_object),))
+
+
+def test_another_robot(slider_arm):
+    """Boxes, cylinders and spheres as links, a slider, no SRDF; round links are circumscribed, so contact is loose."""
+    scene, rng = with_one_of_each(), np.random.default_rng(0)
+    checker = CollisionChecker(slider_arm, scene)
+    states = np.concatenate([slider_arm.random_configurations(rng, 3000), near_contact(checker, rng, 3000)])
+    expected = checker.in_collision_batch(states)
+    problem = PlanningProblem("test", slider_arm, scene, np.zeros(4), np.zeros((1, 4)))
+    space = ConstrainedSpace(problem, settings=SpaceSettings(margin=0.0))
+    answers = np.array([not space.valid(q) for q in states])
+    missed = [checker.clearance(q) for q in states[expected & ~answers]]
+    assert expected.any() and [depth for depth in missed if depth < -CONTACT] == []
+    assert (answers & ~expected)[:3000].mean() < 0.05
+
+
+@pytest.mark.parametrize("spread", [0.8, 0.1])
+def test_point_clouds_are_never_smaller_than_their_balls(panda, spread):
+    rng, radius = np.random.default_rng(2), 0.02
+    points = rng.uniform(-spread, spread, (60, 3))
+    T = pose((0.3, 0.2, 0.5), 0.7)
+    cloud = Scene("cloud", (SceneObject("cloud", PointCloud(points, radius), T),))
+    balls = Scene(
+        "balls",
+        tuple(
+            SceneObject(f"ball_{i}", Sphere(radius), pose((T @ [*p, 1.0])[:3])) for i, p in enumerate(points)
+        ),
+    )
+    checker = CollisionChecker(panda, balls)
+    states = np.concatenate([panda.random_configurations(rng, 2000), near_contact(checker, rng, 2000)])
+    expected, answers = checker.in_collision_batch(states), compiled_hits(panda, cloud, states)
+    missed = [checker.clearance(q) for q in states[expected & ~answers]]
+    assert [depth for depth in missed if depth < -CONTACT] == []
+    assert (answers & ~expected).mean() < 0.1
+
+
+def shell(rng, count):
+    """Points (count, 3) [m] around the arm."""
+    direction = rng.standard_normal((count, 3))
+    return direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(0.5, 0.9, (count, 1))
+
+
+TURNED = pose((0.05, -0.1, 0.4), 0.7)
+TURNED[:3, :3] = TURNED[:3, :3] @ [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]
+
+
+@pytest.mark.parametrize("T", [pose((0.0, 0.0, 0.4)), TURNED], ids=["straight", "turned"])
+@pytest.mark.parametrize("count", [300, MOST_BALLS + 1000], ids=["balls", "octree"])
+def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
+    rng = np.random.default_rng(3)
+    scene = Scene("cloud", (SceneObject("cloud", PointCloud(shell(rng, count), 0.005), T),))
+    checker = CollisionChecker(panda, scene)
+    states = np.concatenate([panda.random_configurations(rng, 1000), near_contact(checker, rng, 3000)])
+    expected, answers = checker.in_collision_batch(states), compiled_hits(panda, scene, states)
+    missed = [checker.clearance(q) for q in states[expected & ~answers]]
+    assert expected[1000:].mean() > 0.2 and [depth for depth in missed if depth < -CONTACT] == []
+    assert (answers & ~expected)[:1000].mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    "on_border",
+    [
+        False,
+        True,
+    ],
+)
+def test_cells_of_large_clouds_are_the_octree_s(panda, on_border):
+    """Points on a regular grid, as voxel filters make them, lie on the borders of cells."""
+    rng, radius = np.random.default_rng(4), 0.015
+    points = shell(rng, MOST_BALLS + 1000)
+    if on_border:
+        points = np.round(points / (2.0 * radius)) * (2.0 * radius)
+    cloud = PointCloud(points, radius)
+    cells = np.array(coal_shape(cloud).toBoxes())[:, :3]
+    arrays = scene_arrays(Scene("cloud", (SceneObject("cloud", cloud, np.eye(4)),)), 1.2)
+    assert KDTree(arrays.points).query(cells)[0].max() < 1e-9
+
+
+def test_clouds_with_nan_are_refused():
+    with pytest.raises(InvalidInputError, match="finite, row 1"):
+        PointCloud(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.02)
+
+
+def test_nan_configurations_collide(panda):
+    assert compiled_hits(panda, NOTHING, np.full((1, 7), np.nan)).all()
+
+
+def test_obstacles_outside_the_grid_are_still_seen(panda):
+    """The grid ends at the arm's reach; a pole in the hand goes beyond it."""
+    pole = Attachment("pole", Box((0.02, 0.02, 1.6)), pose((0.0, 0.0, 0.9)))
+    stretched = np.array([0.0, 1.5, 0.0, -0.1, 0.0, 1.5, 0.0])
+    T_world_tip = panda.pose(stretched) @ pose((0.0, 0.0, 1.65))
+    scene = Scene("far", (SceneObject("far", Sphere(0.05), T_world_tip),))
+    assert np.linalg.norm(T_world_tip[:3, 3]) > panda.reach
+    assert compiled_hits(panda, scene, [stretched], (pole,)) == [True]
+    assert compiled_hits(panda, scene, [stretched]) == [False]
+
+
+def test_arrays_are_made_once(panda, open_kitchen):
+    assert robot_arrays(panda) is robot_arrays(panda)
+    assert scene_arrays(open_kitchen, 1.2) is scene_arrays(open_kitchen, 1.2)

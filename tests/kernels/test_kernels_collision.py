@@ -1,0 +1,336 @@
+"""The compiled collision core against coal: never free in contact, hardly ever in contact when free."""
+
+import coal
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
+from cvqmpt_lab.kernels.collision.distance_grid import RANGE, cell_of, known_distance
+from cvqmpt_lab.kernels.collision.geometry import robot_geometry, scene_geometry
+from cvqmpt_lab.kernels.collision.point_clusters import MOST_POINTS, Cloud, cluster_points
+from cvqmpt_lab.kernels.collision.separation import (
+    BOX,
+    CYLINDER,
+    HULL,
+    IDENTITY,
+    SPHERE,
+    distance,
+    separating_gap,
+)
+from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline, pack_shapes
+from cvqmpt_lab.kernels.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
+
+MARGIN = 1e-4
+NO_VERTICES = np.empty((0, 3))
+LOWER, UPPER = np.full(3, -0.6), np.full(3, 0.6)
+
+
+def pose(R=None, t=(0.0, 0.0, 0.0)):
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) if R is None else R
+    T[:3, 3] = t
+    return T
+
+
+def random_spec(rng, kind, spread=0.25, longest=0.2):
+    T = pose(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), spread * rng.normal(size=3))
+    if kind == HULL:
+        points = rng.normal(size=(rng.integers(4, 80), 3))
+        points *= rng.uniform(0.2, 1.0, 3) * longest / np.linalg.norm(points, axis=1)[:, None]
+        return ShapeSpec(HULL, (), points, T)
+    a, b, c = rng.uniform(0.02, longest, 3)
+    size = {BOX: (a, b, c), CYLINDER: (a, a, b), SPHERE: (a,)}[kind]
+    return ShapeSpec(kind, size, NO_VERTICES, T)
+
+
+def coal_object(spec, T_world_owner=None):
+    T = spec.T_owner_shape if T_world_owner is None else T_world_owner @ spec.T_owner_shape
+    if spec.kind == HULL:
+        points = coal.StdVec_Vec3s()
+        for point in spec.vertices:
+            points.append(point)
+        shape = coal.Convex.convexHull(points, True, "Qt")
+    else:
+        shape = {
+            BOX: lambda s: coal.Box(*s),
+            CYLINDER: lambda s: coal.Cylinder(s[0], s[2]),
+            SPHERE: lambda s: coal.Sphere(s[0]),
+        }[spec.kind](spec.size)
+    return shape, coal.Transform3s(T[:3, :3], T[:3, 3])
+
+
+def coal_distance(a, b):
+    return coal.distance(a[0], a[1], b[0], b[1], coal.DistanceRequest(), coal.DistanceResult())
+
+
+@pytest.mark.parametrize("kind_a", [HULL, BOX, CYLINDER, SPHERE])
+@pytest.mark.parametrize("kind_b", [HULL, BOX, CYLINDER, SPHERE])
+def test_pairs_agree_with_coal(kind_a, kind_b):
+    """Random pairs, half of them slid to within a millimetre of contact."""
+    rng = np.random.default_rng(10 * kind_a + kind_b)
+    for k in range(240):
+        a, b = random_spec(rng, kind_a), random_spec(rng, kind_b)
+        objects = coal_object(a), coal_object(b)
+        if k % 2:
+            result = coal.DistanceResult()
+            apart = coal.distance(*objects[0], *objects[1], coal.DistanceRequest(), result)
+            if apart > 0.0:
+                shift = (result.getNearestPoint1() - result.getNearestPoint2()) * (
+                    1.0 - rng.uniform(-1e-3, 1e-3) / apart
+                )
+                b = b._replace(T_owner_shape=pose(t=shift) @ b.T_owner_shape)
+                objects = objects[0], coal_object(b)
+        exact = coal_distance(*objects)
+        packed = pack_shapes([a, b])
+        axis = tuple(a.T_owner_shape[:3, 3] - b.T_owner_shape[:3, 3])
+        gap = separating_gap(packed, 0, packed, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
+        assert not (gap > MARGIN and exact <= MARGIN - 2e-6), (k, gap, exact)
+        assert not (gap <= MARGIN and exact > 2e-4), (k, gap, exact)
+        certified = distance(packed, 0, packed, 1, IDENTITY, axis, 1e-7)
+        assert certified <= max(exact, 0.0) + 2e-6
+        assert certified >= exact - 2e-5
+
+
+def test_a_touching_pair_is_a_collision_and_a_degenerate_axis_is_harmless():
+    box = ShapeSpec(BOX, (0.2, 0.2, 0.2), NO_VERTICES, pose())
+    for offset, free in ((0.2, False), (0.2 + 0.5 * MARGIN, False), (0.2 + 2 * MARGIN, True)):
+        shapes = pack_shapes([box, box._replace(T_owner_shape=pose(t=(0.0, offset, 0.0)))])
+        for axis in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (np.nan, 0.0, 0.0)):
+            gap = separating_gap(shapes, 0, shapes, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
+            assert (gap > MARGIN) == free
+
+
+def inside_hull(rng, points, n):
+    weights = rng.dirichlet(np.full(len(points), 0.3), n)
+    return weights @ points
+
+
+@pytest.mark.parametrize("kind", [HULL, BOX, CYLINDER, SPHERE])
+def test_balls_and_pieces_cover_the_shape(kind):
+    rng = np.random.default_rng(kind)
+    for _ in range(3):
+        spec = random_spec(rng, kind, longest=0.5)
+        points, swelling = outline(spec)
+        parts = cut_into_pieces(points) if swelling == 0.0 else [points]
+        tree = sphere_tree([Piece(part, swelling, i) for i, part in enumerate(parts)])
+        leaves = tree.sphere[tree.leaf >= 0]
+        assert sorted(tree.leaf[tree.leaf >= 0]) == list(range(len(parts)))
+        assert swelling > 0.0 or leaves[:, 3].max() <= ANY_RADIUS + 1e-6
+        samples = inside_hull(rng, points, 2000)
+        direction = rng.normal(size=samples.shape)
+        samples = samples + swelling * direction / np.linalg.norm(direction, axis=1)[:, None]
+        apart = np.linalg.norm(samples[:, None] - leaves[None, :, :3], axis=2) - leaves[None, :, 3]
+        assert apart.min(axis=1).max() <= 0.0
+        if swelling == 0.0:
+            in_piece = [
+                np.max(ConvexHull(part).equations @ np.c_[samples, np.ones(2000)].T, axis=0) for part in parts
+            ]
+            assert np.min(in_piece, axis=0).max() < 1e-9
+        for node, (sphere, skip) in enumerate(zip(tree.sphere, tree.skip, strict=True)):
+            assert node < skip <= len(tree.skip)
+            below = [parts[k] for k in tree.leaf[node:skip] if k >= 0]
+            assert (
+                np.linalg.norm(np.concatenate(below) - sphere[:3], axis=1).max() + swelling
+                <= sphere[3] + 1e-12
+            )
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0, 0, 0]],
+        [[0, 0, 0], [1, 0, 0], [0.4, 0, 0]],
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]],
+        [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]],
+    ],
+    ids=["point", "segment", "square", "coincident"],
+)
+def test_flat_shapes_are_cut_too(points):
+    parts = cut_into_pieces(np.array(points, dtype=float))
+    assert sum(map(len, parts)) < 2000
+    assert np.allclose(np.concatenate(parts).min(axis=0), np.min(points, axis=0))
+    assert np.allclose(np.concatenate(parts).max(axis=0), np.max(points, axis=0))
+
+
+def test_grid_never_overestimates_and_is_not_idle():
+    rng = np.random.default_rng(4)
+    specs = [random_spec(rng, kind) for kind in (BOX, BOX, SPHERE)]
+    scene = scene_geometry(specs, LOWER, UPPER)
+    objects = [coal_object(spec) for spec in specs]
+    slack = []
+    for point in rng.uniform(LOWER, UPPER, (800, 3)):
+        ix, iy, iz, inside = cell_of(scene.grid, *point)
+        assert inside
+        probe = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), point)
+        exact = max(min(coal_distance(probe, other) for other in objects), 0.0)
+        known = known_distance(scene.grid, ix, iy, iz)
+        assert known <= exact + 2e-6
+        slack.append(min(exact, RANGE) - known)
+    assert np.max(slack) < 2.5 * scene.grid.cell
+    assert np.median(slack) < scene.grid.cell
+    assert not cell_of(scene.grid, 0.0, 0.0, 9.0)[3]
+
+
+def test_grid_lists_every_obstacle_near_a_point():
+    rng = np.random.default_rng(5)
+    specs = [random_spec(rng, BOX) for _ in range(12)]
+    scene = scene_geometry(specs, LOWER, UPPER)
+    objects = [coal_object(spec) for spec in specs]
+    for point in rng.uniform(LOWER, UPPER, (150, 3)):
+        ix, iy, iz, _ = cell_of(scene.grid, *point)
+        start = scene.grid.list_start[ix // 2, iy // 2, iz // 2]
+        listed = set(
+            scene.grid.items[start : start + scene.grid.list_count[ix // 2, iy // 2, iz // 2]].tolist()
+        )
+        probe = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), point)
+        near = {i for i, other in enumerate(objects) if coal_distance(probe, other) < scene.reach - 1e-5}
+        assert near <= listed
+
+
+def random_scene(rng):
+    specs = [random_spec(rng, int(kind), 0.4, 0.15) for kind in rng.integers(0, 4, 10)]
+    clouds = [
+        Cloud(rng.normal(size=(100, 3)) * (0.01, 0.1, 0.1) + (0.3, 0.0, 0.0), 0.004),
+        Cloud(rng.normal(size=(40, 3)) * 0.05 - (0.3, 0.3, 0.0), 0.01),
+    ]
+    return specs, clouds
+
+
+def coal_scene(specs, clouds):
+    """One list of coal objects per obstacle."""
+    objects = [[coal_object(spec)] for spec in specs]
+    for cloud in clouds:
+        ball = coal.Sphere(cloud.radius)
+        objects.append([(ball, coal.Transform3s(np.eye(3), point)) for point in cloud.points])
+    return objects
+
+
+def random_poses(rng, n):
+    R = Rotation.from_rotvec(rng.normal(size=(n, 3))).as_matrix()
+    return np.ascontiguousarray(R), 0.5 * rng.normal(size=(n, 3))
+
+
+LINK = [0, 1, 1, 2, 3, 3]
+PAIRS = [(0, 3), (0, 4), (1, 4), (2, 4), (3, 5)]
+
+
+def random_robot(rng):
+    """Six geometries of all kinds on four links, link 0 being the world."""
+    return [random_spec(rng, kind, 0.05, 0.15) for kind in (HULL, HULL, BOX, CYLINDER, HULL, SPHERE)]
+
+
+def exact_distances(robot, R, p, objects):
+    """Coal's distance of every (geometry, obstacle) and (geometry, -1 - other) that is checked."""
+    placed = [coal_object(spec, pose(R[link], p[link])) for spec, link in zip(robot, LINK, strict=True)]
+    found = {}
+    for i, link in enumerate(LINK):
+        if link != 0:
+            for k, parts in enumerate(objects):
+                found[i, k] = min(coal_distance(placed[i], part) for part in parts)
+    for i, k in PAIRS:
+        found[i, -1 - k] = found[k, -1 - i] = coal_distance(placed[i], placed[k])
+    return found
+
+
+@pytest.mark.parametrize("cell", [0.03, 0.08])
+def test_states_agree_with_coal(cell):
+    """Random robots, scenes and link poses, inside the grid and outside it."""
+    rng = np.random.default_rng(int(1000 * cell))
+    free = 0
+    for _ in range(2):
+        robot, (specs, clouds) = random_robot(rng), random_scene(rng)
+        geometry = robot_geometry(robot, LINK, PAIRS)
+        scene = scene_geometry(specs, LOWER, UPPER, cell, clouds)
+        objects = coal_scene(specs, clouds)
+        for _ in range(60):
+            R, p = random_poses(rng, 4)
+            exact = exact_distances(robot, R, p, objects)
+            contact = first_contact(R, p, geometry, scene, MARGIN)
+            if contact == (-1, -1):
+                free += 1
+                assert min(exact.values()) > MARGIN - 2e-6
+            else:
+                assert exact[contact] <= 2e-4
+    assert 10 < free < 110
+
+
+def test_margin_is_kept():
+    rng = np.random.default_rng(8)
+    robot, (specs, clouds) = random_robot(rng), random_scene(rng)
+    geometry, scene = robot_geometry(robot, LINK, PAIRS), scene_geometry(specs, LOWER, UPPER, clouds=clouds)
+    objects = coal_scene(specs, clouds)
+    outcomes = []
+    for _ in range(60):
+        R, p = random_poses(rng, 4)
+        nearest = min(exact_distances(robot, R, p, objects).values())
+        for margin in (0.003, 0.03, 0.3):
+            free = first_contact(R, p, geometry, scene, margin) == (-1, -1)
+            assert not (free and nearest < margin - 2e-6)
+            assert free or nearest < margin + 1e-4
+            outcomes.append(free)
+    assert 0 < sum(outcomes) < len(outcomes)
+
+
+def test_empty_scene_and_world_geometry():
+    rng = np.random.default_rng(9)
+    robot = random_robot(rng)
+    R, p = random_poses(rng, 4)
+    p[1:] += np.array([[3.0, 0, 0], [6.0, 0, 0], [9.0, 0, 0]])
+    empty = scene_geometry([], LOWER, UPPER)
+    wall = scene_geometry([ShapeSpec(BOX, (9.0, 9.0, 9.0), NO_VERTICES, pose())], LOWER, UPPER)
+    geometry = robot_geometry(robot, LINK, PAIRS)
+    assert first_contact(R, p, geometry, empty, MARGIN) == (-1, -1)
+    assert first_contact(R, p, geometry, wall, MARGIN)[1] == 0
+    nothing = robot_geometry(robot, LINK, [], obstacles_matter=[False] * 6)
+    assert first_contact(R, p, nothing, wall, MARGIN) == (-1, -1)
+    only_last = robot_geometry(robot, [0] * 6, [], obstacles_matter=[False] * 5 + [True])
+    assert first_contact(R, p, only_last, wall, MARGIN) == (5, 0)
+
+
+def test_a_pose_that_is_not_finite_is_a_collision():
+    rng = np.random.default_rng(10)
+    geometry, empty = robot_geometry(random_robot(rng), LINK, []), scene_geometry([], LOWER, UPPER)
+    for bad in (np.nan, np.inf):
+        R, p = random_poses(rng, 4)
+        p[2, 1] = bad
+        assert first_contact(R, p, geometry, empty, MARGIN)[0] != FREE
+        R, p = random_poses(rng, 4)
+        R[3, 0, 2] = bad
+        assert first_contact(R, p, geometry, empty, MARGIN)[0] != FREE
+
+
+def test_clusters_keep_every_point():
+    rng = np.random.default_rng(11)
+    clouds = [
+        Cloud(rng.normal(size=(5000, 3)), 0.01),
+        Cloud(np.empty((0, 3)), 0.01),
+        Cloud(np.ones((50, 3)), 0.0),
+    ]
+    clusters = cluster_points(clouds, 0.05)
+    sizes = np.diff(clusters.start)
+    assert sizes.min() >= 1
+    assert sizes.max() <= MOST_POINTS
+    assert clusters.half.max() <= 0.025 + 1e-9
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    assert np.all(np.abs(clusters.points - clusters.centre[owner]) <= clusters.half[owner])
+    for number, cloud in enumerate(clouds):
+        mine = clusters.points[clusters.cloud[owner] == number]
+        assert np.array_equal(np.sort(mine, axis=0), np.sort(cloud.points, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("specs", "clouds", "message"),
+    [
+        ([ShapeSpec(HULL, (), NO_VERTICES, pose())], [], "0 vertices"),
+        ([ShapeSpec(HULL, (), np.full((4, 3), np.nan), pose())], [], "not finite"),
+        ([ShapeSpec(BOX, (1.0, 1.0, 1.0), NO_VERTICES, pose(t=(np.nan, 0, 0)))], [], "not finite"),
+        ([], [Cloud(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.01)], "point 1"),
+        ([], [Cloud(np.zeros((3, 3)), -1.0)], "radius -1.0"),
+    ],
+)
+def test_invalid_scenes_are_refused(specs, clouds, message):
+    with pytest.raises(InvalidInputError, match=message):
+        scene_geometry(specs, LOWER, UPPER, clouds=clouds)

@@ -1,0 +1,148 @@
+"""Straight motions: how far they move the robot, and that they are called free only where coal agrees."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.kernels.collision.geometry import swing
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.kernels.search.space_arrays import states_valid
+from cvqmpt_lab.planning.collision_arrays import robot_arrays
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
+from experiments.bench.collision import near_contact
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+HAMMER = (
+    Attachment("handle", Box((0.03, 0.04, 0.5)), pose((0.02, -0.01, 0.3), 0.4)),
+    Attachment(
+        "head", ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))), pose((0.0, 0.2, 0.5))
+    ),
+)
+FINE = 0.002  # [rad]
+
+
+def placed_points(robot, attachments, configurations):
+    """World positions (k, p, 3) of every vertex of the links and of what is carried."""
+    rotations, translations = link_poses(robot.kinematics, configurations)
+    hand, T_link_hand = robot.end_effector_link
+    solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
+    solids += [(hand, T_link_hand @ a.T_hand_object, shape_vertices(a.shape)) for a in attachments]
+    points = [
+        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1)
+        + translations[:, link, None]
+        for link, T, vertices in solids
+    ]
+    return np.concatenate(points, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "attachments"), [("panda", ()), ("panda", HAMMER), ("slider_arm", ()), ("slider_arm", HAMMER)]
+)
+def test_no_point_moves_further_than_its_swing(request, name, attachments):
+    robot = request.getfixturevalue(name)
+    bound = swing(robot.kinematics, robot_arrays(robot, attachments))
+    rng = np.random.default_rng(0)
+    before = robot.random_configurations(rng, 1000)
+    change = 10.0 ** rng.uniform(-4.0, 0.3, (1000, 1)) * rng.standard_normal(before.shape)
+    change[:300] *= np.eye(robot.dof)[rng.integers(robot.dof, size=300)]  # one joint at a time comes closest
+    after = np.clip(before + change, robot.lower, robot.upper)
+    moved = placed_points(robot, attachments, after) - placed_points(robot, attachments, before)
+    furthest = np.linalg.norm(moved, axis=2).max(axis=1)
+    allowed = np.abs(after - before) @ bound
+    assert (furthest <= allowed + 1e-12).all()
+    assert (furthest / allowed).max() > 0.8, "a bound this loose would make every motion slow to check"
+
+
+def test_what_is_carried_swings_further(panda):
+    bare, loaded = (swing(panda.kinematics, robot_arrays(panda, a)) for a in ((), HAMMER))
+    assert (loaded > bare + 0.3).all()
+
+
+@pytest.fixture(scope="module")
+def kitchen_space(panda, open_kitchen):
+    return ConstrainedSpace(PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None]))
+
+
+@pytest.fixture(scope="module")
+def motions(kitchen_space):
+    """Free states a, b (k, n) up to 0.3 rad apart, on either side of a contact."""
+    rng, robot = np.random.default_rng(0), kitchen_space.robot
+    contacts = np.repeat(near_contact(kitchen_space.problem, kitchen_space, rng, 1000), 30, axis=0)
+    away = rng.standard_normal((2, *contacts.shape))
+    away *= rng.uniform(0.0, 0.15, (2, len(contacts), 1)) / np.linalg.norm(away, axis=2, keepdims=True)
+    a, b = np.clip(contacts + away, robot.lower, robot.upper)
+    free = all_free(kitchen_space, np.stack([a, b], axis=1))
+    return a[free], b[free]
+
+
+@pytest.fixture(scope="module")
+def answers(kitchen_space, motions):
+    """What motion_free says of each of the motions, (k,)."""
+    return np.array([motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)])
+
+
+def all_free(space, states):
+    """Whether the compiled checker calls all states of each row (k, s, n) free, (k,)."""
+    out = np.empty(states.shape[0] * states.shape[1], dtype=bool)
+    states_valid(space.arrays, np.ascontiguousarray(states.reshape(-1, states.shape[2])), out)
+    return out.reshape(states.shape[:2]).all(axis=1)
+
+
+def along(motions, spacing):
+    """States (k, s, n) of straight motions, all with as many as the longest one needs."""
+    a, b = motions
+    longest = np.linalg.norm(b - a, axis=1).max()
+    return np.linspace(a, b, 1 + int(np.ceil(longest / spacing)), axis=1)
+
+
+def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
+    """Every state, not only those that were looked at."""
+    checker = kitchen_space.problem.collision_checker()
+    a, b = (ends[answers] for ends in motions)
+    close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin
+    rest = np.random.default_rng(0).choice(len(a), 300, replace=False)
+    hit = [
+        k
+        for k in {*close, *rest}
+        if checker.in_collision_batch(along((a[k : k + 1], b[k : k + 1]), FINE)[0]).any()
+    ]
+    assert hit == []
+
+
+def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
+    kitchen_space, motions, answers
+):
+    sampled = all_free(kitchen_space, along(motions, kitchen_space.settings.resolution))
+    assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
+    assert (answers != sampled).mean() < 0.02
+
+
+def test_both_backends_judge_motions_alike(kitchen_space, motions, answers):
+    exact = ConstrainedSpace(kitchen_space.problem, "exact")
+    some = np.concatenate([np.flatnonzero(~answers)[:60], np.flatnonzero(answers)[:60]])
+    judged = [motion_free(exact.arrays, motions[0][k], motions[1][k]) for k in some]
+    assert (np.array(judged) != answers[some]).mean() <= 0.05
+
+
+def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
+    """One finger sweeps past a small ball at its tip; with the ball below the tip, the motion is free."""
+    a, b = HOME - 0.1 * np.eye(7)[0], HOME + 0.1 * np.eye(7)[0]
+
+    def answer(depth):
+        place = panda.pose(HOME) @ pose((0.0, 0.05, depth))
+        scene = Scene("ball", (SceneObject("ball", Sphere(0.005), place),))
+        space = ConstrainedSpace(PlanningProblem("ball", panda, scene, a, b[None]))
+        return space.valid(a), space.valid(b), motion_free(space.arrays, a, b)
+
+    assert answer(0.1) == (True, True, False)
+    assert answer(0.13) == (True, True, True)
+
+
+def test_motions_of_no_length_and_to_a_collision(kitchen_space, motions):
+    a = motions[0][0]
+    assert motion_free(kitchen_space.arrays, a, a)
+    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))

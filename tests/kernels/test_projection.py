@@ -1,0 +1,143 @@
+"""Newton projection onto the manifold: it converges, stays inside the limits and admits failure."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
+from cvqmpt_lab.constraints.task_space_region import (
+    MAX_ITERATIONS,
+    TOLERANCE,
+    RegionConstraint,
+    TaskSpaceRegion,
+    stack_regions,
+    upright,
+)
+from cvqmpt_lab.kernels.manifold.projection import project_batch, projection_scratch
+
+
+def region_at(position, half):
+    """A box of half width [m] about a world position, any orientation."""
+    T0_w = np.eye(4)
+    T0_w[:3, 3] = position
+    return TaskSpaceRegion(T0_w, np.eye(4), np.array([(-half, half)] * 3 + [(-np.inf, np.inf)] * 3))
+
+
+UNREACHABLE = region_at((5.0, 0.0, 0.0), 0.1)
+
+
+def project_all(robot, regions, configurations):
+    """Projected copies and Newton iterations of the batch kernel."""
+    q = configurations.copy()
+    arrays = stack_regions(robot, regions)
+    scratch = projection_scratch(robot.dof, arrays)
+    return q, project_batch(robot.kinematics, arrays, q, TOLERANCE, MAX_ITERATIONS, scratch)
+
+
+@pytest.mark.parametrize("tilt", [0.1, 0.0])
+def test_uniform_samples_reach_the_upright_manifold(panda, tilt):
+    samples = panda.random_configurations(np.random.default_rng(0), 5000)
+    q, iterations = project_all(panda, (upright(tilt),), samples)
+    reached = iterations >= 0
+    assert reached.mean() >= 0.99
+    assert np.median(iterations[reached]) <= 6
+    assert (q >= panda.lower).all() and (q <= panda.upper).all()
+    residual = RegionConstraint(panda, (upright(tilt),)).residual(q[reached])
+    assert np.linalg.norm(residual, axis=1).max() <= TOLERANCE
+
+
+def test_hardly_any_uniform_sample_fails(panda):
+    samples = panda.random_configurations(np.random.default_rng(5), 20_000)
+    assert (project_all(panda, (upright(),), samples)[1] >= 0).mean() >= 0.999
+
+
+@pytest.mark.parametrize(("between", "least"), [(1, 0.98), (0, 0.95)], ids=["some joints", "all joints"])
+def test_from_joints_at_their_limits_the_manifold_is_reached_inside(panda, between, least):
+    rng = np.random.default_rng(6)
+    samples = panda.random_configurations(rng, 5000)
+    place = rng.integers(2 + between, size=samples.shape)
+    samples = np.where(place == 0, panda.lower, np.where(place == 1, panda.upper, samples))
+    q, iterations = project_all(panda, (upright(),), samples)
+    reached = iterations >= 0
+    assert np.median(iterations) >= 2 and reached.mean() >= least
+    assert (q >= panda.lower).all() and (q <= panda.upper).all()
+    residual = RegionConstraint(panda, (upright(),)).residual(q[reached])
+    assert np.linalg.norm(residual, axis=1).max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("held", [1, 3, 5])
+def test_what_a_held_joint_cannot_do_the_others_share(panda, held):
+    """Joints 1, 3 and 5 turn about parallel axes: the shortest way back from a tilt is a third each, or a half."""
+    manifold = RegionConstraint(panda, (upright(0.0),))
+    tilted = manifold.project(np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))
+    tilted[5] += 0.3
+    way = np.array([0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0])
+    np.testing.assert_allclose(manifold.project(tilted) - tilted, 0.1 * way, atol=2e-3)
+    lower, upper = panda.lower.copy(), panda.upper.copy()
+    (lower if way[held] < 0.0 else upper)[held] = tilted[held]
+    narrow = replace(panda, kinematics=panda.kinematics._replace(lower=lower, upper=upper))
+    way[held] = 0.0
+    q = RegionConstraint(narrow, (upright(0.0),)).project(tilted)
+    np.testing.assert_allclose(q - tilted, 0.15 * way, atol=2e-3)
+
+
+def test_batch_equals_single(panda):
+    manifold = RegionConstraint(panda, (upright(), region_at((0.4, 0.0, 0.5), 0.1)))
+    samples = panda.random_configurations(np.random.default_rng(1), 50)
+    q, iterations = project_all(panda, manifold.members, samples)
+    assert (iterations >= 0).sum() > 0
+    for sample, end, count in zip(samples, q, iterations, strict=True):
+        single = manifold.project(sample)
+        assert (single is not None) == (count >= 0)
+        if single is not None:
+            np.testing.assert_array_equal(single, end)
+            assert np.linalg.norm(manifold.residual(single)) <= TOLERANCE
+
+
+def test_states_on_the_manifold_stay(panda):
+    manifold = RegionConstraint(panda, (upright(),))
+    q = manifold.project(np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))
+    before = q.copy()
+    np.testing.assert_array_equal(manifold.project(q), before)
+
+
+def test_the_input_is_not_changed_and_is_clipped_first(panda):
+    far = np.full(7, 10.0)
+    q = RegionConstraint(panda, ()).project(far)
+    np.testing.assert_array_equal(q, panda.upper)
+    assert (far == 10.0).all()
+
+
+def test_an_unreachable_region_fails(panda):
+    samples = panda.random_configurations(np.random.default_rng(2), 20)
+    q, iterations = project_all(panda, (UNREACHABLE,), samples)
+    assert (iterations == -1 - MAX_ITERATIONS).all()
+    assert (q >= panda.lower).all() and (q <= panda.upper).all()
+    assert RegionConstraint(panda, (UNREACHABLE,)).project(samples[0]) is None
+
+
+def test_nan_fails(panda):
+    manifold = RegionConstraint(panda, (upright(),))
+    assert manifold.project(np.full(7, np.nan)) is None
+
+
+def test_an_iteration_limit_of_zero_only_checks(panda):
+    manifold = RegionConstraint(panda, (upright(),))
+    q = panda.random_configurations(np.random.default_rng(3), 1)[0]
+    assert manifold.project(q, max_iterations=0) is None
+    assert manifold.project(manifold.project(q), max_iterations=0) is not None
+
+
+def test_inverse_kinematics_reaches_the_pose(panda):
+    rng = np.random.default_rng(4)
+    solved = 0
+    for q in 0.8 * panda.random_configurations(rng, 20) + 0.1 * (panda.lower + panda.upper):
+        T = panda.pose(q)
+        solutions = solve_poses(panda, T[None], rng)[0]
+        solved += len(solutions) > 0
+        for solution in solutions:
+            np.testing.assert_allclose(panda.pose(solution), T, atol=2e-6)
+            assert panda.joint_outside_limits(solution) is None
+    assert solved >= 18
+    assert len(solve_poses(panda, UNREACHABLE.T0_w[None], rng)[0]) == 0

@@ -1,0 +1,276 @@
+import csv
+import io
+import json
+import shutil
+import subprocess
+
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.results.statistics import wilson_interval
+from cvqmpt_lab.results.store import PARTIAL_FILE, ResultRow, RunStore, write_rows
+from paper_tables.place_task_summary import HEADLINES, build_place_table, read_published
+from paper_tables.render import PUBLISHED, render_csv, render_directory, render_latex, render_markdown
+
+PAPER = read_published(PUBLISHED / "place_task.csv", "Place Task")
+CONFIGURATION = {"suite": "place", "cutoff_s": 10.0}
+
+
+def run(planner, problem, time=None, seed=0, suite="place", backend="compiled", **values):
+    """A row; a failure where `time` is None."""
+    solved = time is not None
+    return ResultRow(
+        suite=suite,
+        problem=f"p{problem}",
+        planner=planner,
+        seed=seed,
+        backend=backend,
+        status="solved" if solved else values.pop("status", "timeout"),
+        solved=solved,
+        certified=solved or None,
+        t_total_s=time if solved else 10.0,
+        **values,
+    )
+
+
+def some_rows():
+    rows = [run("birrt", i, 0.1 * (i + 1), path_length_rad=5.0 + i, vertices=10 + i) for i in range(10)]
+    rows += [run("ompl-projected", i, 0.4 * (i + 1), path_length_rad=8.0, vertices=40) for i in range(8)]
+    rows += [run("ompl-projected", 8, fail_reason="no path"), run("ompl-projected", 9, status="uncertified")]
+    return rows
+
+
+def summaries(table):
+    return {summary.name: summary for summary in table.planners}
+
+
+# ---------------------------------------------------------------- published numbers
+
+
+def test_the_published_files_hold_every_cell_of_both_tables():
+    assert len(read_published(PUBLISHED / "place_task.csv")) == 2 * 6 * 4
+    assert len(PAPER) == 6 * 4
+    cells = {(value.planner, value.metric): value.printed for value in PAPER}
+    assert cells["ompl-projected", "time"] == "22.95" and cells["opt-cvq-mpt", "path_length"] == "5.507"
+    assert cells["mpnet", "accuracy"] == "33.85" and cells["tb-rrt", "vertices"] == "32"
+    assert {metric for _, metric in cells} == {headline.published for headline in HEADLINES}
+
+
+def test_the_published_totals_are_sums_and_accuracies_are_127ths():
+    values = {
+        (v.planner, v.metric): float(v.printed) for v in read_published(PUBLISHED / "multi_sequence.csv")
+    }
+    assert len(values) == 15
+    for planner in {planner for planner, _ in values}:
+        parts = values[planner, "planning_time"] + values[planner, "execution_time"]
+        assert values[planner, "total_time"] == pytest.approx(parts)
+    for value in PAPER:
+        if value.metric == "accuracy":
+            solved = round(float(value.printed) * 1.27)
+            assert f"{solved}/127" in value.note
+            assert int(solved / 127 * 1e4) / 100 == float(value.printed)
+
+
+def test_published_files_are_checked(tmp_path):
+    text = (PUBLISHED / "place_task.csv").read_text()
+    (tmp_path / "a.csv").write_text(text.replace("22.95", "fast"))
+    with pytest.raises(InvalidInputError, match="line 8, column value: 'fast'"):
+        read_published(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text(text.replace("paper_name", "label", 1))
+    with pytest.raises(InvalidInputError, match="columns must be"):
+        read_published(tmp_path / "a.csv")
+
+
+# ---------------------------------------------------------------- the table
+
+
+def test_metrics_are_computed_as_stated():
+    table = build_place_table(some_rows(), PAPER)
+    birrt, ompl = summaries(table)["birrt"].measured, summaries(table)["ompl-projected"].measured
+    assert ompl["accuracy"] == wilson_interval(8, 10).scaled(100)
+    assert birrt["time_median"].estimate == pytest.approx(0.55)
+    assert ompl["time_median"].estimate == pytest.approx(0.4 * 5.5) and ompl["time_median"].n == 10
+    assert ompl["time_median"].high == float("inf")
+    assert ompl["time_mean"].estimate == pytest.approx(0.4 * 4.5) and ompl["time_mean"].n == 8
+    assert birrt["vertices_mean"].estimate == 14.5
+    assert table.n_joint == birrt["path_length_median"].n == 8
+    assert birrt["path_length_mean"].estimate == pytest.approx(8.5)  # problems 0..7 only
+    assert (birrt["time_ratio"].estimate, birrt["time_ratio"].n) == (pytest.approx(0.25), 8)
+    assert birrt["projections_median"].estimate is None
+    assert birrt["solved_within_0.1_s"].estimate == pytest.approx(10)
+
+
+def test_planners_come_in_the_papers_order_then_others():
+    rows = [*some_rows(), run("a-new-planner", 0, 1.0)]
+    names = [summary.name for summary in build_place_table(rows, PAPER).planners]
+    assert names == [
+        "ompl-projected",
+        "atlas-rrt",
+        "tb-rrt",
+        "mpnet",
+        "cvq-mpt",
+        "opt-cvq-mpt",
+        "a-new-planner",
+        "birrt",
+    ]
+
+
+def test_planners_without_rows_are_explained():
+    table = build_place_table(some_rows(), PAPER)
+    notes = " ".join(table.footnotes)
+    assert "atlas-rrt, tb-rrt, mpnet, cvq-mpt, opt-cvq-mpt: not run here." in notes
+    assert summaries(table)["cvq-mpt"].measured == {}
+
+
+def test_a_planner_that_solves_nothing_does_not_empty_the_joint_set():
+    rows = [*some_rows(), *(run("tb-rrt", i) for i in range(10))]
+    table = build_place_table(rows, PAPER)
+    assert table.n_joint == 8
+    assert "left out of the jointly solved set: tb-rrt" in " ".join(table.footnotes)
+    assert summaries(table)["tb-rrt"].measured["time_median"].estimate == float("inf")
+
+
+def test_backends_of_one_planner_are_kept_apart():
+    rows = [*some_rows(), *(run("birrt", i, 1.0, backend="python") for i in range(10))]
+    table = summaries(build_place_table(rows, PAPER))
+    assert table["birrt [python]"].measured["time_median"].estimate == 1.0
+    assert table["birrt [compiled]"].measured["time_median"].estimate == pytest.approx(0.55)
+
+
+def test_seeds_of_a_problem_are_one_pair():
+    rows = [run("birrt", 0, t, seed=s) for s, t in enumerate((1.0, 4.0))] + [run("birrt", 1, 1.0)]
+    rows += [run("ompl-projected", 0, 1.0, seed=s) for s in range(2)] + [run("ompl-projected", 1, 1.0)]
+    table = build_place_table(rows, PAPER)
+    ratio = summaries(table)["birrt"].measured["time_ratio"]
+    assert (ratio.estimate, ratio.n) == (pytest.approx(2**0.5), 2)
+    assert any("Several seeds" in note for note in table.footnotes)
+
+
+def test_unequal_problem_sets_are_pointed_out():
+    assert "did not all run" not in " ".join(build_place_table(some_rows(), PAPER).footnotes)
+    assert "did not all run" in " ".join(build_place_table(some_rows()[:-1], PAPER).footnotes)
+
+
+def test_a_table_is_of_one_suite():
+    for rows in ([], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]):
+        with pytest.raises(InvalidInputError, match="one suite"):
+            build_place_table(rows, PAPER)
+
+
+# ---------------------------------------------------------------- renderings
+
+
+@pytest.mark.parametrize("render", [render_markdown, render_latex, render_csv])
+def test_the_same_rows_give_the_same_bytes(render):
+    rows = some_rows()
+    assert render(build_place_table(rows, PAPER)) == render(build_place_table(rows[::-1], PAPER))
+
+
+def test_markdown_columns_line_up_and_show_paper_and_ours():
+    text = render_markdown(build_place_table([*some_rows(), run("odd|name", 0, 1.0)], PAPER))
+    for block in text.split("\n\n"):
+        if block.startswith("|"):
+            lines = block.strip().split("\n")
+            assert len({len(line) for line in lines}) == 1
+            assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
+    line = next(line for line in text.splitlines() if line.startswith("| ompl-projected (CBiRRT)"))
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[1:6] == ["10", "93.7", "80.0 [49.0, 94.3]", "22.95", "2.20 [0.800, ∞]"]
+    assert "| mpnet (MPNet (w/ proj))   | 0    | 33.85" in text
+    assert "114/127" in text
+
+
+def test_small_samples_show_a_range_in_round_brackets():
+    text = render_markdown(build_place_table([run("birrt", i, 1.0 + i) for i in range(3)], ()))
+    assert "2.00 (1.00, 3.00)" in text
+
+
+def test_markdown_counts_failures_by_status_and_reason():
+    text = render_markdown(build_place_table(some_rows(), PAPER))
+    failures = text.split("### Failures")[1].split("###")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in failures.strip().split("\n")]
+    assert rows[2:] == [
+        ["ompl-projected", "timeout", "no path", "1 of 10"],
+        ["ompl-projected", "uncertified", "–", "1 of 10"],
+    ]
+    only_solved = build_place_table([run("birrt", 0, 1.0)], PAPER)
+    assert "### Failures\n\nNone." in render_markdown(only_solved)
+
+
+def test_latex_is_balanced_escaped_and_in_the_papers_layout():
+    text = render_latex(build_place_table([*some_rows(), run("my_50%_planner", 0, 1.0)], PAPER))
+    assert r"my\_50\%\_planner" in text and "∞" not in text and "–" not in text
+    assert text.count(r"\begin{") == text.count(r"\end{") == 2
+    tabular = text.split(r"\toprule")[1].split(r"\bottomrule")[0]
+    lines = [line for line in tabular.strip().splitlines() if "rule" not in line]
+    assert {line.count("&") for line in lines} == {1 + 8}
+    assert r"Accuracy (\%) & paper & 93.7 & 100 & 89.76 & 33.85 & 97.63 & 98.42 & -- & --" in text
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
+def test_latex_compiles(tmp_path):
+    table = render_latex(build_place_table(some_rows(), PAPER))
+    source = rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{table}\end{{document}}"
+    (tmp_path / "t.tex").write_text(source)
+    subprocess.run(["pdflatex", "-halt-on-error", "t.tex"], cwd=tmp_path, check=True, capture_output=True)
+
+
+def test_csv_is_long_and_exact():
+    table = build_place_table(some_rows(), PAPER)
+    records = list(csv.DictReader(io.StringIO(render_csv(table))))
+    found = {(r["planner"], r["metric"], r["source"]): r for r in records}
+    assert len(found) == len(records)
+    assert found["cvq-mpt", "time_mean", "paper"]["value"] == "11.25"
+    ours = found["ompl-projected", "time_median", "ours"]
+    measured = summaries(table)["ompl-projected"].measured["time_median"]
+    assert (float(ours["value"]), ours["high"], ours["n"]) == (measured.estimate, "inf", "10")
+    assert found["birrt", "projections_median", "ours"]["value"] == ""
+    assert ("cvq-mpt", "accuracy", "ours") not in found
+
+
+# ---------------------------------------------------------------- directories
+
+
+def store(directory, rows, **provenance):
+    with RunStore.open(directory, CONFIGURATION, provenance) as opened:
+        for row in rows:
+            opened.append(row)
+
+
+def test_a_directory_is_rendered_beside_its_runs(tmp_path):
+    store(tmp_path, some_rows(), git_commit="a" * 40, git_dirty=True, cpu_model="Fast CPU", cpu_count=2)
+    paths = render_directory(tmp_path)
+    assert [path.name for path in paths] == ["place_task.md", "place_task.tex", "place_task.csv"]
+    texts = [path.read_bytes() for path in paths]
+    header = texts[0].decode().splitlines()[2]
+    assert header.startswith(f"cutoff_s 10.0 · commit {'a' * 12} (modified) · machine Fast CPU, 2 cores")
+    assert header.endswith("20 runs")
+    assert [path.read_bytes() for path in render_directory(tmp_path)] == texts
+    store(tmp_path, [run("birrt", 10, 1.0)], git_commit="b" * 40)
+    assert "bbbbbbbbbbbb" in render_directory(tmp_path)[0].read_text()  # mixed commits are shown
+
+
+def test_every_suite_gets_a_block_and_only_place_the_papers_numbers(tmp_path):
+    store(tmp_path, [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")])
+    markdown, latex, table = (path.read_text() for path in render_directory(tmp_path))
+    place, random = markdown.split("## random")
+    assert "22.95" in place and "22.95" not in random
+    assert latex.count(r"\begin{table*}") == 2 and table.count("suite,metric") == 1
+
+
+def test_directories_without_runs_say_what_to_do(tmp_path):
+    with pytest.raises(RunStoreError, match=r"not a directory; run an experiment with --out"):
+        render_directory(tmp_path / "absent")
+    with pytest.raises(RunStoreError, match=r"no runs\.csv; run an experiment"):
+        render_directory(tmp_path)
+    (tmp_path / PARTIAL_FILE).write_text("")
+    with pytest.raises(RunStoreError, match="interrupted run; repeat its command"):
+        render_directory(tmp_path)
+    write_rows(tmp_path / "runs.csv", [])
+    with pytest.raises(RunStoreError, match="no rows"):
+        render_directory(tmp_path)
+    write_rows(tmp_path / "runs.csv", some_rows())
+    with pytest.raises(RunStoreError, match=r"no provenance\.json"):
+        render_directory(tmp_path)
+    (tmp_path / "provenance.json").write_text(json.dumps({"configuration": {}}))
+    assert "cutoff not recorded · commit unknown" in render_directory(tmp_path)[0].read_text()

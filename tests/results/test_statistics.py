@@ -1,0 +1,200 @@
+import math
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.statistics import (
+    UNDEFINED,
+    Interval,
+    jointly_solved,
+    mean_of_solved,
+    median_interval,
+    paired_ratio_interval,
+    quantile,
+    solved_against_time,
+    wilson_interval,
+)
+from cvqmpt_lab.results.store import ResultRow
+
+INF = math.inf
+
+
+def bounds(interval):
+    assert interval.low is not None and interval.high is not None
+    return interval.low, interval.high
+
+
+def covers(interval, value):
+    low, high = bounds(interval)
+    return low <= value <= high
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [
+        (8, 10, 0.4902, 0.9433),
+        (0, 10, 0.0, 0.2775),
+        (10, 10, 0.7225, 1.0),
+        (5, 10, 0.2366, 0.7634),
+        (1, 1, 0.2065, 1),
+    ],
+)
+def test_wilson_matches_tabulated_values(successes, n, low, high):
+    interval = wilson_interval(successes, n)
+    assert interval.estimate == successes / n and interval.n == n
+    assert interval.low == pytest.approx(low, abs=5e-5) and interval.high == pytest.approx(high, abs=5e-5)
+
+
+def test_wilson_solves_its_defining_equation():
+    """Each bound p satisfies (rate - p)^2 = z^2 p (1 - p) / n."""
+    interval = wilson_interval(37, 120, confidence=0.9)
+    for bound in bounds(interval):
+        assert (37 / 120 - bound) ** 2 == pytest.approx(1.6448536**2 * bound * (1 - bound) / 120, rel=1e-6)
+
+
+def test_wilson_covers_as_it_claims():
+    covered = 0.0
+    for k in range(21):  # exact sum over Binomial(20, 0.8)
+        interval = wilson_interval(k, 20)
+        if covers(interval, 0.8):
+            covered += math.comb(20, k) * 0.8**k * 0.2 ** (20 - k)
+    assert 0.93 < covered < 0.98
+
+
+@pytest.mark.parametrize(
+    ("n", "rank", "coverage"),
+    [
+        (1, 1, 0.0),
+        (5, 1, 0.9375),
+        (6, 1, 0.96875),
+        (10, 2, 0.97852),
+        (20, 6, 0.95861),
+        (30, 10, 0.95723),
+        (100, 40, 0.96480),
+    ],
+)
+def test_median_interval_uses_the_tabulated_ranks(n, rank, coverage):
+    values = np.random.default_rng(n).permutation(np.arange(1.0, n + 1))
+    interval = median_interval(values)
+    assert (interval.low, interval.high) == (rank, n + 1 - rank)
+    assert interval.estimate == np.median(values)
+    assert interval.coverage == pytest.approx(coverage, abs=1e-5)
+
+
+def test_median_interval_covers_as_it_claims():
+    rng = np.random.default_rng(0)
+    samples = rng.exponential(size=(4000, 15))
+    intervals = [median_interval(sample) for sample in samples]
+    covered = np.mean([covers(interval, math.log(2)) for interval in intervals])
+    assert intervals[0].coverage == pytest.approx(0.9648, abs=1e-4)
+    assert covered == pytest.approx(intervals[0].coverage, abs=0.01)
+
+
+def test_failures_move_the_median_without_imputation():
+    assert median_interval([1, 2, 3, 4, 5, 6, 7, INF]) == Interval(4.5, 1, INF, 8, 1 - 2 / 2**8)
+    assert median_interval([1.0, INF, INF, INF]).estimate == INF
+    assert median_interval([1.0, INF]).estimate == INF
+    assert median_interval([INF, INF]) == Interval(INF, INF, INF, 2, 0.5)
+
+
+def test_small_samples_give_the_range_and_say_so():
+    interval = median_interval([3.0, 1.0, 2.0])
+    assert (interval.low, interval.high) == (1.0, 3.0) and interval.coverage == 0.75
+
+
+def test_large_samples_do_not_overflow():
+    interval = median_interval(np.arange(3000.0))
+    assert interval.coverage == pytest.approx(0.9525, abs=0.0025)
+    assert bounds(interval) == pytest.approx((1500 - 54, 1500 + 54), abs=2)
+
+
+def test_quantile_is_an_observed_value():
+    values = [5.0, 1.0, INF, 3.0]
+    assert [quantile(values, p) for p in (0, 0.25, 0.26, 0.5, 0.75, 0.76, 1)] == [1, 1, 3, 3, 5, INF, INF]
+    assert quantile(np.arange(1.0, 101), 0.07) == 7 and quantile([], 0.5) is None
+
+
+def test_mean_of_solved_leaves_failures_out():
+    interval = mean_of_solved([1.0, 3.0, INF], np.random.default_rng(0))
+    assert interval.estimate == 2.0 and interval.n == 2 and bounds(interval) == (1.0, 3.0)
+    assert mean_of_solved([4.0, INF], np.random.default_rng(0)) == Interval(4.0, None, None, 1)
+    assert mean_of_solved([INF], np.random.default_rng(0)) == UNDEFINED
+
+
+def test_paired_ratio_is_exact_for_a_constant_ratio_and_antisymmetric():
+    b = np.random.default_rng(2).lognormal(size=20)
+    constant = paired_ratio_interval(0.5 * b, b, np.random.default_rng(0))
+    assert (constant.estimate, constant.low, constant.high) == pytest.approx((0.5, 0.5, 0.5))
+    a = b * np.random.default_rng(3).lognormal(size=20)
+    ratio = paired_ratio_interval(a, b, np.random.default_rng(0))
+    inverse = paired_ratio_interval(b, a, np.random.default_rng(0))
+    assert ratio.estimate == pytest.approx(math.exp(np.mean(np.log(a) - np.log(b))))
+    assert (ratio.low, ratio.high) == pytest.approx((1 / bounds(inverse)[1], 1 / bounds(inverse)[0]))
+    assert ratio == paired_ratio_interval(a, b, np.random.default_rng(0))
+
+
+def test_paired_ratio_covers_about_as_it_claims():
+    rng = np.random.default_rng(4)
+    covered = 0
+    for _ in range(400):
+        b = rng.lognormal(size=40)
+        interval = paired_ratio_interval(b * rng.lognormal(0.7, 0.5, size=40), b, rng, n_bootstrap=400)
+        covered += covers(interval, math.exp(0.7))
+    assert 0.90 < covered / 400 < 0.98
+
+
+def test_solved_against_time_counts_failures_as_never():
+    curve = solved_against_time([0.5, 1.0, INF, 2.0], [0.4, 0.5, 1.0, 10.0, INF])
+    assert curve.tolist() == [0, 0.25, 0.5, 0.75, 0.75]
+    assert np.isnan(solved_against_time([], [1.0, 2.0])).all()
+
+
+def row(problem, solved, seed=0):
+    status = "solved" if solved else "timeout"
+    return ResultRow(
+        suite="place",
+        problem=problem,
+        planner="x",
+        seed=seed,
+        backend="b",
+        status=status,
+        solved=solved,
+        certified=solved,
+    )
+
+
+def test_jointly_solved_needs_every_planner_and_the_same_seed():
+    rows = {
+        "a": [row("p10", True), row("p2", True), row("p3", True), row("p4", True, seed=1)],
+        "b": [row("p2", True), row("p10", True), row("p3", False), row("p4", True, seed=2)],
+    }
+    assert jointly_solved(rows) == (("place", "p2", 0), ("place", "p10", 0))
+    assert jointly_solved({**rows, "c": []}) == ()
+    assert jointly_solved({}) == ()
+
+
+def test_no_data_gives_no_numbers():
+    rng = np.random.default_rng(0)
+    assert wilson_interval(0, 0) == median_interval([]) == UNDEFINED
+    assert mean_of_solved([], rng) == paired_ratio_interval([], [], rng) == UNDEFINED
+    assert UNDEFINED.scaled(100) == UNDEFINED
+
+
+def test_nonsense_is_refused():
+    rng = np.random.default_rng(0)
+    calls = [
+        lambda: wilson_interval(3, 2),
+        lambda: wilson_interval(-1, 2),
+        lambda: wilson_interval(1, 2, confidence=1.0),
+        lambda: median_interval([1.0, math.nan]),
+        lambda: median_interval([[1.0]]),
+        lambda: quantile([1.0], 1.5),
+        lambda: paired_ratio_interval([1.0], [1.0, 2.0], rng),
+        lambda: paired_ratio_interval([0.0], [1.0], rng),
+        lambda: paired_ratio_interval([1.0], [INF], rng),
+        lambda: mean_of_solved([math.nan], rng),
+    ]
+    for call in calls:
+        with pytest.raises(InvalidInputError):
+            call()

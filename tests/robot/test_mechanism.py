@@ -1,0 +1,344 @@
+"""A door or drawer as a joint of the robot: poses, collisions in both checkers, casing, json, errors."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.kernels.collision.checker import first_contact
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
+from cvqmpt_lab.scene.articulation import DEEPEST, REST_GAP, take_out
+from cvqmpt_lab.scene.exact_checker import CollisionChecker, coal_shape, shape_distance
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box
+from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world, handle_region
+from experiments.suites.place_task import DOOR
+
+AWAY = np.array([2.8, 0.3, 0.0, -1.5, 0.0, 1.571, 0.785])  # the arm looks away from the kitchen
+DRAWER = "hitman_drawer_top"
+BLOCKED = {
+    "chewie_door_left": "baker_door/panel",  # hung on one line: either turns into the other, closed one
+    "indigo_door_left": "robot_pedestal",
+}
+CONTACT = 1e-5  # [m] contact is not defined below
+
+
+def mechanism(panda, scene, name, **options):
+    rest, item = take_out(scene, name, **options)
+    return rest, robot_from_source({**panda.source, "articulated": item.to_dict()})
+
+
+@pytest.fixture(scope="module")
+def world():
+    return door_world()
+
+
+@pytest.fixture(scope="module")
+def grasp():
+    """A start of the door task: the hand holds the closed door's handle."""
+    return door_problem(0).start
+
+
+def pieces(robot, q):
+    """World vertices of each piece by the kernels' poses."""
+    (R,), (t,) = link_poses(robot.kinematics, np.array([q]))
+    return {
+        p.name: (p.vertices @ p.T_link_geometry[:3, :3].T + p.T_link_geometry[:3, 3]) @ R[p.link].T
+        + t[p.link]
+        for p in robot.links
+    }
+
+
+@pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER])
+@pytest.mark.parametrize("taken_at", [0.0, 0.4])
+def test_parts_move_as_in_the_scene(panda, name, taken_at):
+    """The scene's own articulation is the reference, also for one taken out half open."""
+    closed = kitchen()
+    joint = closed.articulation(name)
+    at = joint.lower + taken_at * (joint.upper - joint.lower)
+    rest, robot = mechanism(panda, closed.with_joint(name, at), name)
+    assert robot.dof == 8 and robot.joint_names[7] == name
+    assert (robot.lower[7], robot.upper[7]) == (joint.lower, joint.upper)
+    assert not [part for part in joint.moves if part in rest.names]
+    for value in np.linspace(joint.lower, joint.upper, 7):
+        there, q = closed.with_joint(name, float(value)), np.append(AWAY, value)
+        placed = pieces(robot, q)
+        for part in joint.moves:
+            T = there[part].T_world_object
+            np.testing.assert_allclose(robot.pose(q, part), T, atol=1e-9)
+            np.testing.assert_allclose(placed[part].mean(axis=0), T[:3, 3], atol=1e-9)
+
+
+def test_the_arm_is_the_same(panda, world):
+    _, robot = world
+    rng = np.random.default_rng(0)
+    for q in robot.random_configurations(rng, 20):
+        np.testing.assert_allclose(robot.pose(q), panda.pose(q[:7]), atol=1e-12)
+        assert np.array_equal(pieces(robot, q)["panda_hand_0"], pieces(panda, q[:7])["panda_hand_0"])
+    limits = robot.joint_limits
+    np.testing.assert_array_equal(limits.velocity, [*panda.joint_limits.velocity, 1.0])
+    np.testing.assert_array_equal(limits.acceleration, [*panda.joint_limits.acceleration, 2.0])
+    assert robot.source != panda.source and robot.self_collision_pairs[:44] == panda.self_collision_pairs
+
+
+@pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
+def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
+    """Nothing at rest counts as a collision, and nothing that is excused is ever entered."""
+    whole = kitchen()
+    joint = whole.articulation(name)
+    scene, robot = mechanism(panda, whole, name)
+    spaces = [space_of(robot, scene, backend) for backend in ("compiled", "exact")]
+    casing = [whole[n] for n in whole.names if n not in scene.names and n not in joint.moves]
+    for value in np.linspace(joint.lower, joint.upper, 40):
+        assert all(space.valid(np.append(AWAY, value)) for space in spaces), value
+        there = whole.with_joint(name, float(value))
+        for item in casing:
+            depth = min(
+                shape_distance(
+                    coal_shape(there[part].shape),
+                    there[part].T_world_object,
+                    coal_shape(item.shape),
+                    item.T_world_object,
+                )
+                for part in joint.moves
+            )
+            assert depth > -DEEPEST, (item.name, value, depth)
+    start, end = (np.append(AWAY, value) for value in (joint.lower, joint.upper))
+    assert motion_free(spaces[0].arrays, start, end)
+
+
+@pytest.mark.parametrize("name", BLOCKED)
+def test_doors_that_turn_into_something_say_into_what(panda, name):
+    joint = kitchen().articulation(name)
+    scene, robot = mechanism(panda, kitchen(), name)
+    checker, space = CollisionChecker(robot, scene), space_of(robot, scene)
+    states = [np.append(AWAY, value) for value in np.linspace(joint.lower, joint.upper, 40)]
+    hits = [q for q in states if checker.in_collision(q)]
+    assert hits and not any(space.valid(q) for q in hits) and space.valid(np.append(AWAY, 0.0))
+    assert {checker.colliding_pair(q).second for q in hits} == {BLOCKED[name]}
+
+
+def test_casing_is_what_a_door_rests_against(world):
+    casing = [part.name for part in ArticulatedObject.from_dict(world[1].source["articulated"]).casing]
+    boards = [f"dagger/cell1_{side}" for side in ("bottom", "top", "side_right", "side_left")]
+    assert sorted(casing) == sorted([*boards, "dagger/cell0_side_left"])
+
+
+def brick(x, y, z=1.0, size=0.1):
+    return SceneObject("brick", Box((size,) * 3), pose((x, y, z)))
+
+
+@pytest.mark.parametrize(
+    ("x", "y"), [(0.3, -0.45), (0.471 - 0.05 - 0.5 * REST_GAP, -0.3)], ids=["on its way", "leaning on it"]
+)
+def test_an_obstacle_in_the_way_stops_the_door(panda, x, y):
+    """Also one that stands closer than the gap in front of the closed door: it is no casing."""
+    blocked = kitchen().with_objects(brick(x, y))
+    scene, robot = mechanism(panda, blocked, DOOR)
+    assert "brick" in scene
+    checker, space = CollisionChecker(robot, scene), space_of(robot, scene)
+    angles = np.linspace(-1.57, 0.0, 200)
+    hits = np.array([checker.in_collision(np.append(AWAY, a)) for a in angles])
+    free = np.array([space.valid(np.append(AWAY, a)) for a in angles])
+    assert hits.any() and not hits[-1] and not (hits & free).any() and (hits | free).mean() > 0.97
+    pairs = {str(checker.colliding_pair(np.append(AWAY, a))) for a in angles[hits]}
+    assert pairs == {f"{DOOR}/panel and brick"}
+    assert not motion_free(space.arrays, np.append(AWAY, 0.0), np.append(AWAY, -1.57))
+
+
+def space_of(robot, scene, backend="compiled"):
+    q = np.append(AWAY, 0.0)
+    return ConstrainedSpace(PlanningProblem("test", robot, scene, q, q[None]), backend)
+
+
+def test_door_against_arm_is_found_and_named(world, grasp):
+    """The arm stays where it holds the closed door, and the door swings into it."""
+    scene, robot = world
+    checker = CollisionChecker(robot, scene)
+    spaces = [space_of(robot, scene, backend) for backend in ("compiled", "exact")]
+    assert not checker.in_collision(grasp) and all(space.valid(grasp) for space in spaces)
+    swung = grasp.copy()
+    swung[7] = -0.3
+    assert checker.in_collision(swung) and not any(space.valid(swung) for space in spaces)
+    pair = checker.colliding_pair(swung)
+    assert pair.first.startswith("panda_") and pair.second.startswith(DOOR)
+
+
+def test_casing_stops_the_arm(panda, world):
+    """A hand put into the side board of the cabinet, the door wide open: without the board it would be free."""
+    _, robot = world
+    board = kitchen()["dagger/cell1_side_right"].T_world_object.copy()
+    board[:3, 3] += (-0.25, 0.0, -0.2)
+    board[:3, :3] = handle_region().Tw_e[:3, :3]
+    reached = solve_poses(robot, board[None], np.random.default_rng(0), attempts=60)[0]
+    reached[:, 7] = -1.5
+    item = replace(ArticulatedObject.from_dict(robot.source["articulated"]), casing=())
+    bare = with_articulated_object(panda, item)
+    nothing = Scene("nothing", ())
+    without, checker = (CollisionChecker(r, nothing) for r in (bare, robot))
+    stopped = [q for q in reached if not without.in_collision(q)]
+    assert stopped and not any(space_of(robot, nothing).valid(q) for q in stopped)
+    assert {checker.colliding_pair(q).second for q in stopped} <= {
+        "dagger/cell1_side_right",
+        "dagger/cell0_side_left",
+    }
+
+
+def test_compiled_and_exact_agree(world, grasp):
+    """Uniform states, and states around a held handle; misses are contacts, false collisions are rare."""
+    scene, robot = world
+    rng = np.random.default_rng(0)
+    exact, close = CollisionChecker(robot, scene, margin=1e-4), CollisionChecker(robot, scene, margin=0.05)
+    space = space_of(robot, scene)
+    near = np.clip(grasp + 0.15 * rng.standard_normal((2000, 8)), robot.lower, robot.upper)
+    for states in (robot.random_configurations(rng, 2000), near):
+        expected, answers = exact.in_collision_batch(states), ~space.valid_batch(states)
+        assert [d for q in states[expected & ~answers] if (d := exact.clearance(q) - 1e-4) < -CONTACT] == []
+        false, narrow = (answers & ~expected).sum(), close.in_collision_batch(states[~expected]).sum()
+        assert 100 < expected.sum() < 1900 and narrow > 100 and false <= 0.03 * narrow
+    some = near[:200]
+    assert np.array_equal(exact.in_collision_batch(some), [exact.in_collision_pairwise(q) for q in some])
+
+
+def test_motions_of_arm_and_door_called_free_are_free(world, grasp):
+    """Motions of both at once, from a held handle: coal agrees all along."""
+    scene, robot = world
+    checker, space = CollisionChecker(robot, scene), space_of(robot, scene)
+    rng = np.random.default_rng(4)
+    ends = np.clip(grasp + 0.2 * rng.standard_normal((300, 2, 8)), robot.lower, robot.upper)
+    free = [(a, b) for a, b in ends if space.valid(a) and motion_free(space.arrays, a, b)]
+    assert 20 < len(free) < 280
+    shares = np.linspace(0.0, 1.0, 60)[:, None]
+    assert not any(checker.in_collision_batch(a + shares * (b - a)).any() for a, b in free)
+
+
+def test_kernels_name_contacts_of_the_door(world):
+    """Of uniform states without a scene, some have the arm touch the door, at pieces that coal says touch."""
+    _, robot = world
+    nothing = Scene("nothing", ())
+    arm, air = robot_arrays(robot), scene_arrays(nothing, robot.reach)
+    shapes = [item.geometry for item in robot.collision_model.geometryObjects]
+    seen = set()
+    for q in robot.random_configurations(np.random.default_rng(3), 2000):
+        (R,), (t,) = link_poses(robot.kinematics, q[None])
+        a, b = first_contact(R, t, arm, air, 0.0)
+        pair = [robot.links[k] for k in (a, -1 - b)] if a >= 0 else []
+        door = [piece.name for piece in pair if piece.link == 8]
+        if door:
+            T = [np.eye(4) for _ in pair]
+            for piece, T_world in zip(pair, T, strict=True):
+                T_world[:3, :3], T_world[:3, 3] = R[piece.link], t[piece.link]
+                T_world[:] = T_world @ piece.T_link_geometry
+            depth = shape_distance(shapes[a], T[0], shapes[-1 - b], T[1])
+            assert depth < CONTACT + 1e-3, (q, [piece.name for piece in pair])
+            seen |= {(door[0], depth < 0.0)}
+    assert (f"{DOOR}/panel", True) in seen and len({name for name, _ in seen}) >= 2
+
+
+def test_only_the_named_contact_is_allowed(panda, grasp):
+    """Closed fingers touch the bar: a collision, unless pads and bar are named; other pieces stay checked."""
+    source = {"name": "panda", "finger_opening": GRIP}
+    scene, item = take_out(kitchen(), DOOR)
+    strict = with_articulated_object(robot_from_source(source), item)
+    pair = CollisionChecker(strict, scene).colliding_pair(grasp)
+    assert pair.first.startswith("panda_") and "finger_3" in pair.first and pair.second == BAR
+    _, robot = door_world()
+    allowed = set(map(tuple, robot.source["articulated"]["may_touch"]))
+    gone = set(strict.self_collision_pairs) - set(robot.self_collision_pairs)
+    assert {(strict.links[i].name, strict.links[k].name) for i, k in gone} == allowed and len(gone) == 2
+    scene, wide = door_world(0.04)
+    assert CollisionChecker(wide, scene).clearance(grasp) > 5e-4, "open fingers are clear of the bar"
+
+
+def test_pickle_and_source(world):
+    _, robot = world
+    assert pickle.loads(pickle.dumps(robot)) is robot_from_source(json.loads(json.dumps(robot.source)))
+    again = robot_from_source(json.loads(json.dumps(robot.source)))
+    for ours, theirs in zip(robot.kinematics, again.kinematics, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert again.self_collision_pairs == robot.self_collision_pairs and again.name == f"panda+{DOOR}"
+    assert ArticulatedObject.from_dict(robot.source["articulated"]).to_dict() == robot.source["articulated"]
+
+
+def test_a_problem_comes_back_from_its_file(tmp_path):
+    problem = door_problem(0)
+    problem.save(tmp_path / "door.json")
+    again = PlanningProblem.load(tmp_path / "door.json")
+    assert again.to_dict() == problem.to_dict() and again.robot.joint_names == problem.robot.joint_names
+    assert again.constraint[0].base == BAR and again.scene == problem.scene
+    q = problem.start + 0.05
+    np.testing.assert_array_equal(again.manifold.residual(q), problem.manifold.residual(q))
+
+
+def test_a_load_is_checked_against_door_and_casing(world, grasp):
+    from cvqmpt_lab.scene.attachment import Attachment
+
+    _, robot = world
+    rod = Attachment("rod", Box((0.02, 0.02, 0.6)), pose((0.0, 0.0, 0.4)))
+    checker = CollisionChecker(robot, Scene("nothing", ()), (rod,))
+    assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger")) and checker.in_collision(grasp)
+    problem = PlanningProblem("rod", robot, Scene("nothing", ()), grasp, grasp[None], attachments=(rod,))
+    assert not ConstrainedSpace(problem).valid(grasp)
+
+
+@pytest.mark.parametrize("angle", [-1.6, 0.1])
+def test_an_angle_outside_the_range_is_refused(angle, grasp):
+    with pytest.raises(InvalidInputError, match=rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"):
+        bar_pose(angle)
+    with pytest.raises(InvalidInputError, match=rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"):
+        door_problem(0, angle=angle)
+    start = grasp.copy()
+    start[7] = angle
+    with pytest.raises(InvalidInputError, match=f"start is outside the limits: {DOOR} by"):
+        replace(door_problem(0), start=start)
+
+
+def test_an_unknown_door_is_refused_with_the_choices():
+    with pytest.raises(UnknownChoiceError, match=r"'fridge'.*dagger_door_left"):
+        take_out(kitchen(), "fridge")
+
+
+def test_bad_objects_are_refused(panda, world):
+    _, robot = world
+    item = ArticulatedObject.from_dict(robot.source["articulated"])
+    data = item.to_dict()
+    with pytest.raises(InvalidInputError, match="has an articulated object already"):
+        with_articulated_object(robot, item)
+    with pytest.raises(UnknownChoiceError, match=r"'palm'.*panda_hand_0"):
+        with_articulated_object(panda, replace(item, may_touch=(("palm", BAR),)))
+    with pytest.raises(UnknownChoiceError, match=f"'knob'.*{BAR}"):
+        with_articulated_object(panda, replace(item, may_touch=(("panda_hand_0", "knob"),)))
+    with pytest.raises(InvalidInputError, match="'panda_hand' already"):
+        with_articulated_object(panda, replace(item, name="panda_hand"))
+    for changes, message in [
+        ({"kind": "ball"}, "'ball'.*hinge, slider"),
+        ({"lower": 0.0}, r"range \[0.0, 0.0\]"),
+        ({"upper": None}, "range of articulated object"),
+        ({"parts": []}, "moves nothing"),
+        ({"velocity": 0.0}, "velocity 0.0"),
+        ({"T_world_joint": [[1.0]]}, "rigid pose"),
+        ({"may_touch": ["x"]}, "malformed"),
+        ({"casing": data["parts"]}, "two pieces called"),
+        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "4 or more"),
+    ]:
+        with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
+            robot_from_source({**panda.source, "articulated": data | changes})
+    with pytest.raises(InvalidInputError, match="'kind' is missing"):
+        robot_from_source({**panda.source, "articulated": {"name": "door"}})
+    with pytest.raises(InvalidInputError, match="json object"):
+        robot_from_source({**panda.source, "articulated": [1]})
+    flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
+    with pytest.raises(InvalidInputError, match="'p' lie in one plane"):
+        part = {"name": "p", "T": np.eye(4).tolist(), "vertices": flat}
+        robot_from_source({**panda.source, "articulated": data | {"parts": [part], "may_touch": []}})

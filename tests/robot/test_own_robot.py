@@ -1,0 +1,180 @@
+"""Robots other than the Panda, from their URDF to a certified path, and kernels without a cache on disk."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
+from cvqmpt_lab.errors import InvalidProblemError
+from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.robot.loading import load_robot
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box, Sphere
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTHING = Scene("nothing", ())
+ENOUGH = Budget(iterations=20_000)
+TOOL_BOX = 'size="0.02 0.06 0.02"'
+
+
+def at_height(z, half=0.02):
+    """The tool keeps its height [m]; all else is free."""
+    bounds = np.array([(-np.inf, np.inf)] * 6)
+    bounds[2] = (-half, half)
+    return TaskSpaceRegion(pose((0.0, 0.0, z)), np.eye(4), bounds)
+
+
+@pytest.fixture(scope="module")
+def slider_problem(slider_arm):
+    """Past a ball, at one height; slider and hinges have to work together."""
+    region = at_height(0.6)
+    middle_of_it = RegionConstraint(slider_arm, (at_height(0.6, 0.0),))
+    rough = np.array([[-0.4, 1.3, 0.6, -1.6], [0.6, -1.8, -1.2, -2.1]])
+    start, goal = (middle_of_it.project(q) for q in rough)
+    middle = slider_arm.pose(0.5 * (start + goal))[:3, 3]
+    ball = SceneObject("ball", Sphere(0.06), pose(middle))
+    return PlanningProblem("slide", slider_arm, Scene("ball", (ball,)), start, goal[None], (region,))
+
+
+def test_projection_moves_the_slider_too(slider_arm):
+    manifold = RegionConstraint(slider_arm, (at_height(0.6, 0.0),))
+    samples = slider_arm.random_configurations(np.random.default_rng(0), 500)
+    projected = [manifold.project(q) for q in samples]
+    pairs = [(q, p) for q, p in zip(samples, projected, strict=True) if p is not None]
+    assert len(pairs) > 450
+    for _, p in pairs:
+        assert slider_arm.joint_outside_limits(p) is None
+        assert abs(slider_arm.pose(p)[2, 3] - 0.6) <= TOLERANCE
+    assert np.median([abs(p[0] - q[0]) for q, p in pairs]) > 0.01
+
+
+def test_jacobian_of_a_slider_is_that_of_finite_differences(slider_arm):
+    full = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
+    manifold, step = RegionConstraint(slider_arm, (full,)), 1e-6
+    for q in slider_arm.random_configurations(np.random.default_rng(1), 20):
+        differences = [
+            (manifold.residual(q + step * e) - manifold.residual(q - step * e)) / (2.0 * step)
+            for e in np.eye(4)
+        ]
+        np.testing.assert_allclose(manifold.jacobian(q), np.transpose(differences), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["birrt", "guided-birrt", "ompl-projected"])
+@pytest.mark.parametrize("backend", ["compiled", "exact"])
+def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backend):
+    direct = np.linspace(slider_problem.start, slider_problem.goals[0], 50)
+    assert slider_problem.collision_checker().in_collision_batch(direct).any()
+    solution = solve(slider_problem, planner_named(name), ENOUGH, seed=0, backend=backend)
+    assert solution.certificate.reasons == () and solution.solved
+    assert np.ptp(solution.simplified.path.states[:, 0]) > 0.1, "the slider took part"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "birrt",
+        "ompl-projected",
+        "atlas-rrt",
+        "tb-rrt",
+    ],
+)
+def test_a_start_on_the_rim_of_its_region_is_as_good_as_any(slider_problem, name):
+    """Projection from outside stops at the bound, which planners move inwards."""
+    region = slider_problem.constraint[0]
+    robot = slider_problem.robot
+    start = RegionConstraint(robot, (region,)).project(np.array([-0.4, 1.3, 0.6, -1.6]))
+    rim = np.abs(robot.pose(start)[2, 3] - region.T0_w[2, 3])
+    assert rim == pytest.approx(region.Bw[2, 1], abs=TOLERANCE)
+    problem = replace(slider_problem, scene=NOTHING, start=start)
+    assert solve(problem, planner_named(name), Budget(iterations=20_000), seed=0).solved
+
+
+def test_a_locked_slider_leaves_an_arm_that_plans(slider_problem, slider_arm_urdf):
+    start, goal = slider_problem.start, slider_problem.goals[0]
+    locked = load_robot(slider_arm_urdf, "tool", locked={"rail": float(start[0])})
+    manifold = RegionConstraint(locked, slider_problem.constraint)
+    problem = replace(
+        slider_problem, robot=locked, scene=NOTHING, start=start[1:], goals=manifold.project(goal[1:])[None]
+    )
+    assert solve(problem, BiRRT(), ENOUGH, seed=0).solved
+
+
+# ---------------------------------------------------------------- nothing in the way, or everything
+
+
+def test_scenes_without_obstacles_are_planned(problem):
+    empty = replace(problem, scene=NOTHING)
+    assert solve(empty, BiRRT(), ENOUGH, seed=0).solved
+    wall = SceneObject("picture of a wall", Box((3.0, 3.0, 3.0)), np.eye(4), obstacle=False)
+    assert solve(replace(problem, scene=Scene("seen only", (wall,))), BiRRT(), ENOUGH, seed=0).solved
+
+
+@pytest.fixture
+def bulky_urdf(slider_arm_urdf, tmp_path):
+    """The slider arm with a tool so large that it always overlaps the upper arm."""
+    path = tmp_path / "bulky.urdf"
+    path.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="0.9 0.9 0.9"'))
+    return path
+
+
+def test_a_robot_that_overlaps_itself_at_rest_is_planned(bulky_urdf):
+    robot = load_robot(bulky_urdf, "tool")
+    assert robot.resting_overlaps
+    problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
+    assert ConstrainedSpace(problem).valid(problem.start)
+    assert solve(problem, BiRRT(), ENOUGH, seed=0).solved
+
+
+def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, tmp_path):
+    """Whoever lists the pairs to skip is believed; what then overlaps is said, not hidden."""
+    (tmp_path / "bulky.srdf").write_text('<?xml version="1.0"?>\n<robot name="slider_arm"/>\n')
+    robot = load_robot(bulky_urdf, "tool", srdf=tmp_path / "bulky.srdf")
+    assert robot.resting_overlaps == ()
+    problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
+    with pytest.raises(InvalidProblemError, match=r"start is in collision: .*_0 and tool_0"):
+        check_problem(problem)
+    assert not ConstrainedSpace(problem).valid(problem.start)
+
+
+# ---------------------------------------------------------------- no cache
+
+WITHOUT_CACHE = """
+import warnings
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    from cvqmpt_lab.kernels import compiling
+    print(compiling.CACHE_FOLDER, compiling.compiled_before())
+print([str(w.message) for w in caught if "kernel cache" in str(w.message)])
+import numpy as np
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.robot.loading import load_robot
+robot = load_robot("tests/data/slider_arm.urdf", "tool")
+q = np.array([0.1, 0.2, -0.3, 0.4])
+R, t = link_poses(robot.kinematics, q[None])
+link, T = robot.end_effector_link
+print(np.abs(R[0, link] @ T[:3, 3] + t[0, link] - robot.pose(q)[:3, 3]).max() < 1e-12)
+"""
+
+
+@pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
+def test_without_a_place_for_the_cache_kernels_work_and_say_that_they_are_slow(tmp_path, variable):
+    """Nobody, root included, can make a folder below a file."""
+    (tmp_path / "file").write_text("")
+    place = tmp_path / "file" / "cache"
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {variable: str(place)}
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_CACHE], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+    folder, warning, correct = done.stdout.splitlines()
+    assert folder == "None False" and correct == "True"
+    assert str(place) in warning and "not writable" in warning and "NUMBA_CACHE_DIR" in warning

@@ -1,0 +1,317 @@
+"""What training examples are made of: link positions, clouds, augmentations, sequences of codes."""
+
+import time
+
+import numpy as np
+import pytest
+import torch
+from training_data import LOWER, UPPER, kinematics, write_dataset
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.config import SetAbstractionConfig
+from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel
+from cvqmpt_lab.training.augmentation import Augmentation, Change
+from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
+from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
+from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
+from cvqmpt_lab.training.sequences import code_sequences
+
+PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return open_dataset(write_dataset(tmp_path_factory.mktemp("data") / "d"))
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return SerialChain.from_json(kinematics(), 7, "kinematics")
+
+
+def positions_one_by_one(data, q):
+    """Homogeneous transforms, multiplied in a loop."""
+    frames, frame = [], np.eye(4)
+    for rotation, translation, angle in zip(data["rotation"], data["translation"], q, strict=True):
+        step, turn = np.eye(4), np.eye(4)
+        step[:3, :3], step[:3, 3] = rotation, translation
+        c, s = np.cos(angle), np.sin(angle)
+        turn[:2, :2] = [[c, -s], [s, c]]
+        frame = frame @ step @ turn
+        frames.append(frame)
+    places = zip(data["points"], data["offsets"], strict=True)
+    return np.concatenate([(frames[link] @ [*offset, 1.0])[:3] for link, offset in places])
+
+
+# ---------------------------------------------------------------- link positions
+
+
+def test_link_positions_equal_a_loop(chain):
+    rng = np.random.default_rng(0)
+    u = rng.random((5, 3, 7))
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
+    q = np.array(LOWER) + u * (np.array(UPPER) - LOWER)
+    found = links.configurations(torch.tensor(u, dtype=torch.float32))
+    assert found.shape == (5, 3, 7 + chain.feature_dim)
+    expected = np.stack([[positions_one_by_one(kinematics(), q[i, j]) for j in range(3)] for i in range(5)])
+    np.testing.assert_allclose(found[..., 7:], expected, atol=2e-6)
+    stretched = links.positions(torch.zeros(1, 7))[0].reshape(-1, 3)[
+        -1
+    ]  # all joints 0: hand forward and down
+    np.testing.assert_allclose(stretched, (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.21), atol=1e-6)
+
+
+def test_points_on_any_link_in_any_order(chain):
+    data = kinematics() | {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), SerialChain.from_json(data, 7, "k"))
+    q = np.linspace(-1.0, 1.0, 7)
+    found = links.positions(torch.tensor(q[None], dtype=torch.float32))[0]
+    np.testing.assert_allclose(found, positions_one_by_one(data, q), atol=1e-6)
+    assert SerialChain.from_json(chain.to_json(), 7, "k").feature_dim == 12
+
+
+@pytest.mark.parametrize(
+    "change", [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}, {"rotation": "x"}]
+)
+def test_kinematics_that_do_not_fit_are_named(change):
+    with pytest.raises(InvalidInputError, match=r"kinematics\.(points|offsets|rotation)"):
+        SerialChain.from_json(kinematics() | change, 7, "kinematics")
+
+
+# ---------------------------------------------------------------- clouds
+
+
+def distances(points, kind, size, pose):
+    """Signed distance (or, inside boxes and cylinders, a lower bound of the depth) to each shape (p, m)."""
+    local = np.einsum("mij,pmi->pmj", pose[:, :, :3], points[:, None] - pose[:, :, 3])
+    box = (np.abs(local) - 0.5 * size).max(2)
+    cylinder = np.maximum(
+        np.hypot(local[..., 0], local[..., 1]) - size[:, 0], np.abs(local[..., 2]) - 0.5 * size[:, 2]
+    )
+    sphere = np.linalg.norm(local, axis=2) - size[:, 0]
+    return np.select([kind == 0, kind == 1, kind == 2], [box, cylinder, sphere])
+
+
+def test_points_lie_on_surfaces_and_outside_of_others(dataset):
+    for scene in range(len(dataset.scenes)):
+        shapes = dataset.scenes.shapes(scene)
+        cloud = sample_cloud(*shapes, PLAIN, np.random.default_rng(scene))
+        assert cloud.shape == (600, 3) and cloud.dtype == np.float32
+        nearest = distances(cloud.astype(np.float64), *shapes).min(1)
+        assert np.abs(nearest).max() < 2e-4
+
+
+def one(kind, size, at=(0.3, -0.2, 0.4)):
+    pose = np.concatenate((np.eye(3), np.array(at)[:, None]), 1)[None].astype(np.float32)
+    return np.array([kind], dtype=np.uint8), np.array([size], dtype=np.float32), pose
+
+
+def test_points_are_uniform_by_area():
+    settings = CloudSettings(points=20000, noise=0.0, occlusion=0.0, density=0.0, crop=PLAIN.crop)
+    kind, size, pose = one(0, (0.2, 0.4, 0.6))
+    local = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    on = (np.abs(np.abs(local) - 0.5 * size) < 1e-6).mean(0)
+    areas = np.array([0.4 * 0.6, 0.2 * 0.6, 0.2 * 0.4])
+    np.testing.assert_allclose(on, areas / areas.sum(), atol=0.015)
+    kind, size, pose = one(1, (0.3, 0.3, 0.5))
+    local = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    caps = np.abs(np.abs(local[:, 2]) - 0.25) < 1e-6
+    assert caps.mean() == pytest.approx(0.3 / 0.8, abs=0.015)
+    assert (np.hypot(*local[caps, :2].T) < 0.3 / np.sqrt(2)).mean() == pytest.approx(0.5, abs=0.02)
+    kind, size, pose = one(2, (0.3, 0.3, 0.3))
+    local = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    assert np.abs(local.mean(0)).max() < 0.01
+
+
+def test_crops_noise_and_repetition(dataset):
+    shapes = dataset.scenes.shapes(0)
+    rng = np.random.default_rng
+    for crop in (CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))):
+        cloud = sample_cloud(*shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
+        if crop.kind == "ball":
+            assert np.linalg.norm(cloud - np.array(crop.centre), axis=1).max() <= 0.5 + 1e-5
+        else:
+            assert (cloud >= np.array(crop.lower) - 1e-6).all() and (
+                cloud <= np.array(crop.upper) + 1e-6
+            ).all()
+    noisy = CloudSettings(points=300, noise=0.01, occlusion=0.0, density=0.0, crop=PLAIN.crop)
+    off = np.abs(distances(sample_cloud(*shapes, noisy, rng(1)).astype(np.float64), *shapes).min(1))
+    assert 0.003 < off.mean() < 0.02
+    one_cloud, same = (sample_cloud(*shapes, CloudSettings(), rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(one_cloud, same)
+
+
+@pytest.mark.parametrize("shapes", [0, 1])
+def test_empty_and_unseen_scenes_still_give_points(shapes):
+    kind, size, pose = (part[:shapes] for part in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0)))
+    cloud = sample_cloud(kind, size, pose, CloudSettings(points=50), np.random.default_rng(0))
+    assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
+
+
+def test_occlusion_hides_surfaces_that_face_away():
+    settings = CloudSettings(points=500, noise=0.0, occlusion=1.0, cameras=1, density=0.0, crop=PLAIN.crop)
+    kind, size, pose = one(2, (0.2, 0.2, 0.2))
+    cloud = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    mean = cloud.mean(0)
+    assert np.linalg.norm(mean) > 0.05  # less than half of a sphere is seen by one camera
+    assert (cloud @ mean > 0).mean() > 0.95
+
+
+def test_clouds_are_made_fast(dataset):
+    rng, settings = np.random.default_rng(0), CloudSettings()
+    began, count = time.process_time(), 60
+    for i in range(count):
+        sample_cloud(*dataset.scenes.shapes(i % 6), settings, rng)
+    assert count / (time.process_time() - began) > 100  # 300 and more on a core of its own
+
+
+# ---------------------------------------------------------------- augmentation
+
+
+def test_turning_moves_cloud_and_links_alike(dataset, chain):
+    augmentation = Augmentation(dataset, turn_base=True, mirror=False)
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
+    paths = np.array([3, 4])
+    angles = []
+    for seed in range(20):
+        change = augmentation.draw(paths, np.random.default_rng(seed))
+        angles.append(change.angle)
+        for path in paths.tolist():
+            u = dataset.paths.joints(path)
+            turned = augmentation.joints(u, change)
+            assert turned[:, 0].min() >= -1e-6 and turned[:, 0].max() <= 1.0 + 1e-6
+            before = links.configurations(torch.tensor(u))[:, 7:].reshape(-1, 3)
+            after = links.configurations(torch.tensor(turned))[:, 7:].reshape(-1, 3)
+            np.testing.assert_allclose(after, augmentation.points(before.numpy(), change), atol=5e-6)
+    assert np.std(angles) > 0.2
+
+
+def test_mirroring_is_a_reflection_of_joint_axes(dataset, chain):
+    augmentation = Augmentation(dataset, turn_base=False, mirror=True)
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
+    u = dataset.paths.joints(0)
+    change = Change(0.3, True)
+    before = links.configurations(torch.tensor(u))[:, 7:].reshape(-1, 3).numpy()
+    after = links.configurations(torch.tensor(augmentation.joints(u, change)))[:, 7:].reshape(-1, 3).numpy()
+    np.testing.assert_allclose(after, augmentation.points(before, change), atol=5e-6)
+    drawn = [augmentation.draw(np.array([p]), np.random.default_rng(p)) for p in range(42)]
+    assert 0 < sum(change.mirrored for change in drawn) < 42
+    for path, change in enumerate(drawn):
+        changed = augmentation.joints(dataset.paths.joints(path), change)
+        assert changed.min() >= -1e-6 and changed.max() <= 1.0 + 1e-6
+
+
+def test_wrapped_probes_stay_the_same_posture(dataset, chain):
+    augmentation = Augmentation(dataset, turn_base=True, mirror=False)
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
+    u, change = np.random.default_rng(0).random((50, 7), dtype=np.float32), Change(1.5)
+    wrapped, plain = augmentation.joints(u, change, wrap=True), augmentation.joints(u, change)
+    assert wrapped[:, 0].max() <= 1.0 < plain[:, 0].max()
+    one, other = (links.configurations(torch.tensor(x))[:, 7:] for x in (wrapped, plain))
+    np.testing.assert_allclose(one, other, atol=5e-6)
+
+
+def test_robots_that_cannot_be_turned_or_mirrored_are_refused(tmp_path):
+    tilted = kinematics()
+    tilted["rotation"][0] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
+    dataset = open_dataset(write_dataset(tmp_path / "d", kinematics=tilted, robot="arm"))
+    with pytest.raises(InvalidInputError, match="turn_base needs"):
+        Augmentation(dataset, turn_base=True, mirror=False)
+    with pytest.raises(InvalidInputError, match="mirror knows panda, not 'arm'"):
+        Augmentation(dataset, turn_base=False, mirror=True)
+
+
+# ---------------------------------------------------------------- batches
+
+
+def test_groups_have_each_path_once_and_one_scene(dataset):
+    rows = dataset.split("train")
+    groups = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0))
+    assert sorted(groups[groups >= 0].tolist()) == rows.tolist()
+    assert all(len(set(dataset.paths.scene[g[g >= 0]])) == 1 for g in groups) and (groups[:, 0] >= 0).all()
+    key = np.linspace(1.0, 0.0, len(dataset.paths))
+    by_key = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0), key)
+    assert sorted(by_key[by_key >= 0].tolist()) == rows.tolist()
+    assert all((np.diff(key[g[g >= 0]]) > 0).all() for g in by_key)
+
+
+def test_batches_repeat_by_seed_and_differ_by_epoch(dataset):
+    settings = SceneBatchSettings(scenes=2, paths_per_scene=3, turn_base=True, cloud=CloudSettings(points=64))
+    augmentation = Augmentation(dataset, turn_base=True, mirror=False)
+    first, same, other = (
+        SceneBatches.of_epoch(dataset, settings, augmentation, 5, epoch) for epoch in (0, 0, 1)
+    )
+    batch = first[1]
+    assert (
+        batch["cloud"].shape == (2, 64, 3)
+        and batch["u"].shape[0] == 6
+        and batch["probe_u"].shape == (2, 24, 7)
+    )
+    assert batch["edge_u"].shape[:1] == (2,) and batch["edge_u"].shape[2:] == (2, 7)
+    for name, array in same[1].items():
+        np.testing.assert_array_equal(batch[name], array)
+    assert not np.array_equal(batch["cloud"], other[1]["cloud"])
+
+
+def test_a_wrong_cloud_is_of_another_scene():
+    assert other_scenes(np.array([3, 3, 5, 3])).tolist() == [2, 2, 3, 2]
+    assert other_scenes(np.array([3, 3])) is None
+
+
+def test_training_reduces_points_as_prediction_does():
+    torch.manual_seed(0)
+    layer = SetAbstraction(
+        3, SetAbstractionConfig(count=6, radius=0.5, max_neighbours=8, widths=(8, 8))
+    ).eval()
+    points = torch.rand(2, 40, 3)
+    learning = layer(TokenLevel(points, points)).features
+    with torch.no_grad():
+        torch.testing.assert_close(layer(TokenLevel(points, points)).features, learning)
+
+
+def test_validation_is_always_the_same_and_plain(dataset):
+    settings = SceneBatchSettings(scenes=2, paths_per_scene=2, turn_base=True, cloud=CloudSettings(points=64))
+    batches = SceneBatches.for_validation(dataset, settings, 0)
+    rows = set()
+    for index in range(len(batches)):
+        batch = batches[index]
+        for u, count in zip(batch["u"], batch["counts"], strict=True):
+            rows.add(tuple(u[0]) + tuple(u[count - 1]))
+        np.testing.assert_array_equal(batch["cloud"], batches[index]["cloud"])
+    held_out = {tuple(dataset.paths.joints(p)[[0, -1]].ravel()) for p in dataset.split("validation").tolist()}
+    assert rows <= held_out
+
+
+# ---------------------------------------------------------------- sequences
+
+
+def sequence_one_by_one(codes, most, goal):
+    kept = [c for i, c in enumerate(codes) if i == 0 or codes[i - 1] != c]
+    following = [*kept, goal][: most + 1]
+    run, runs = -1, []
+    for i, code in enumerate(codes):
+        run += i == 0 or codes[i - 1] != code
+        runs.append(run)
+    return kept[:most], following, runs
+
+
+@pytest.mark.parametrize("most", [50, 3])
+def test_sequences_equal_a_loop_in_both_directions(most):
+    generator = torch.Generator().manual_seed(0)
+    codes = torch.randint(0, 3, (20, 12), generator=generator)
+    counts = torch.randint(2, 13, (20,), generator=generator)
+    found = code_sequences(codes, counts, most, 9)
+    for path in range(20):
+        known = codes[path, : counts[path]].tolist()
+        for row, way in ((2 * path, known), (2 * path + 1, known[::-1])):
+            kept, following, runs = sequence_one_by_one(way, most, 9)
+            assert found.codes[row, : len(kept)].tolist() == kept
+            assert found.targets[row][found.visible[row]].tolist() == following
+            assert found.visible[row].sum() == len(following)
+            if row % 2:
+                runs = runs[::-1]  # waypoints keep their forward order
+            seen = [r < most for r in runs] + [False] * (12 - len(runs))
+            assert found.in_run[row].tolist() == seen
+            expected = [r for r in runs if r < most]
+            assert found.run[row][found.in_run[row]].tolist() == expected

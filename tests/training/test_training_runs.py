@@ -1,0 +1,387 @@
+"""Whole trainings on a tiny dataset: learning, continuing, repeating, refusing."""
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from training_data import kinematics, write_dataset
+
+from cli.main import main
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
+from cvqmpt_lab.models.compact.inference import CompactInference
+from cvqmpt_lab.models.config import PointCloudConfig, SetAbstractionConfig, TransformerConfig
+from cvqmpt_lab.models.decoding.beam_search import beam_search
+from cvqmpt_lab.models.mpnet.network import load_mpnet
+from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.training import run_folder
+from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.link_positions import LinkPositions
+from cvqmpt_lab.training.loop import OptimizerSettings
+from cvqmpt_lab.training.point_clouds import CloudSettings
+from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
+from cvqmpt_lab.training.run_folder import RunFolder
+from cvqmpt_lab.training.runner import Request, run_training
+from cvqmpt_lab.training.stage2 import area_under_curve
+
+SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24)
+CLOUD = CloudSettings(points=48)
+SMOKE = PROFILES["smoke"]
+FEW = dataclasses.replace(
+    SMOKE.stage2.batches, scenes=2, paths_per_scene=3, batches_per_epoch=None, cloud=CLOUD, validation_paths=8
+)
+TINY = dataclasses.replace(
+    SMOKE,
+    name="tiny",
+    model=dataclasses.replace(
+        SMOKE.model,
+        dictionary=dataclasses.replace(SMOKE.model.dictionary, transformer=SIZES, n_codes=16),
+        point_cloud=PointCloudConfig(
+            max_points=48,
+            sa1=SetAbstractionConfig(count=12, radius=0.6, max_neighbours=6, widths=(8, 8)),
+            sa2=SetAbstractionConfig(count=4, radius=1.0, max_neighbours=6, widths=(8, 12)),
+        ),
+        sequence=dataclasses.replace(SMOKE.model.sequence, transformer=SIZES),
+    ),
+    mpnet_model=dataclasses.replace(
+        SMOKE.mpnet_model, n_points=48, encoder_widths=(16,), planner_widths=(32, 16)
+    ),
+    stage1=dataclasses.replace(
+        SMOKE.stage1, epochs=2, batch=4, row=16, batches_per_epoch=6, restart_every=4, restart_epochs=1
+    ),
+    stage2=dataclasses.replace(SMOKE.stage2, epochs=2, batches=FEW),
+    mpnet=dataclasses.replace(SMOKE.mpnet, epochs=2, batches=FEW),
+)
+PUBLISHED = dataclasses.replace(
+    TINY,
+    name="tiny-published",
+    link_features=False,
+    model=dataclasses.replace(
+        PROFILES["published"].model,
+        dictionary=dataclasses.replace(
+            PROFILES["published"].model.dictionary, transformer=SIZES, n_codes=16, n_position=200
+        ),
+        point_cloud=PointCloudConfig(
+            sa1=SetAbstractionConfig(ratio=0.5, radius=0.5, widths=(8, 8)),
+            sa2=SetAbstractionConfig(ratio=0.5, radius=0.9, widths=(8, 16)),
+        ),
+        sequence=dataclasses.replace(PROFILES["published"].model.sequence, transformer=SIZES, context=SIZES),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "d")
+
+
+@pytest.fixture(scope="module")
+def dictionary(tmp_path_factory, data):
+    out = tmp_path_factory.mktemp("stage1") / "s1"
+    assert go("stage1", data, out).finished
+    return out
+
+
+@pytest.fixture(autouse=True)
+def no_pictures(monkeypatch, dictionary):
+    """Drawing takes longer than these trainings; the dictionary's, made before, has its picture."""
+    monkeypatch.setattr(run_folder, "_picture", lambda rows, panels: b"")
+
+
+def go(stage, data, out, profile=TINY, report=lambda tick: None, **options):
+    request = Request(
+        stage=stage,
+        profile=profile,
+        data=data,
+        out=out,
+        device="cpu",
+        metadata={"command": ["test"]},
+        **options,
+    )
+    return run_training(request, report)
+
+
+def curves(out):
+    with (out / "curves.csv").open(newline="") as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def weights(out):
+    return {path.name: path.read_bytes() for path in sorted((out / "model").glob("*.safetensors"))}
+
+
+# ---------------------------------------------------------------- what comes out
+
+
+def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
+    rows = curves(dictionary)
+    assert [row["epoch"] for row in rows] == ["1", "2"] and rows[-1]["step"] == "12"
+    assert {"train_loss", "validation_nll", "validation_codes_in_use", "validation_mean_std_rad"} <= set(
+        rows[0]
+    )
+    checkpoint = load_checkpoint(dictionary / "model")
+    assert checkpoint.sequence_model is None and checkpoint.config.feature_dim == 12
+    norms = checkpoint.dictionary.quantizer.embedding.weight.norm(dim=1)
+    torch.testing.assert_close(norms, torch.ones_like(norms))
+    metadata = checkpoint.metadata
+    assert metadata["data_sha256"] == open_dataset(data).sha256 and metadata["seed"] == 0
+    assert metadata["command"] == ["test"] and metadata["kinematics"]["points"] == kinematics()["points"]
+    assert metadata["losses"]["validation_nll"] == float(
+        rows[metadata["losses"]["epoch"] - 1]["validation_nll"]
+    )
+    assert (dictionary / "curves.png").read_bytes()[:4] == b"\x89PNG"
+    assert {p.name for p in dictionary.iterdir()} == {
+        "training.json", "state.safetensors", "curves.csv", "curves.png", "model",
+    }  # fmt: skip
+
+
+def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, dictionary):
+    assert go("stage2", data, tmp_path / "s2", dictionary=dictionary).finished
+    rows = curves(tmp_path / "s2")
+    for name in ("cross_entropy", "cross_entropy_cubes", "free_auc", "connected_auc", "refinement_nll"):
+        assert float(rows[0][f"validation_{name}"]) != float(rows[0][f"validation_wrong_cloud_{name}"])
+    checkpoint = load_checkpoint(tmp_path / "s2" / "model")
+    model, words = checkpoint.sequence_model, checkpoint.dictionary
+    links = LinkPositions(checkpoint.robot.lower, checkpoint.robot.upper, open_dataset(data).chain)
+    means = links.configurations(words.code_gaussians().mean)
+    torch.testing.assert_close(model.code_configurations, means)
+    for name, tensor in load_checkpoint(dictionary / "model").dictionary.state_dict().items():
+        assert torch.equal(words.state_dict()[name], tensor)
+    with torch.no_grad():
+        scene = model.encode_scene(torch.rand(1, 48, 3))
+        ends = links.configurations(torch.rand(2, 1, 7))
+        assert len(beam_search(CompactInference(model, words).decoder(scene, ends[0], ends[1]))) == 1
+
+
+def test_mpnet_leaves_a_network(tmp_path, data):
+    go("mpnet", data, tmp_path / "m", epochs=1)
+    row = curves(tmp_path / "m")[0]
+    assert float(row["validation_squared_error"]) != float(row["validation_wrong_cloud_squared_error"])
+    network = load_mpnet(tmp_path / "m" / "model").network
+    assert network.encode(torch.rand(2, 48, 3)).shape == (2, 28)
+
+
+def test_the_published_model_trains(tmp_path, data):
+    go("stage1", data, tmp_path / "s1", PUBLISHED, epochs=1)
+    go("stage2", data, tmp_path / "s2", PUBLISHED, epochs=1, dictionary=tmp_path / "s1" / "model")
+    checkpoint = load_checkpoint(tmp_path / "s2" / "model")
+    assert checkpoint.config.kind == "published" and checkpoint.config.feature_dim == 0
+    assert set(curves(tmp_path / "s2")[0]) >= {
+        "validation_cross_entropy",
+        "validation_wrong_cloud_cross_entropy",
+    }
+
+
+def test_half_precision_and_no_labels(tmp_path, data, dictionary):
+    half = dataclasses.replace(TINY, stage2=dataclasses.replace(TINY.stage2, precision="bf16"))
+    go("stage2", data, tmp_path / "half", half, dictionary=dictionary, epochs=1)
+    assert np.isfinite(float(curves(tmp_path / "half")[0]["train_free"]))
+    # same joints and chain, other scenes, no labels: those heads are left out
+    data = write_dataset(tmp_path / "d", labels=False, seed=3)
+    stage2 = dataclasses.replace(TINY.stage2, precision="bf16")
+    go(
+        "stage2",
+        data,
+        tmp_path / "s2",
+        dataclasses.replace(TINY, stage2=stage2),
+        dictionary=dictionary,
+        epochs=1,
+    )
+    sequence = load_checkpoint(tmp_path / "s2" / "model").config.sequence
+    assert not sequence.collision_head and not sequence.connectivity_head and sequence.refinement
+    assert np.isfinite(float(curves(tmp_path / "s2")[0]["train_loss"]))
+
+
+def test_losses_fall(tmp_path, data):
+    settings = dataclasses.replace(
+        TINY.stage1,
+        batches_per_epoch=None,
+        optimizer=OptimizerSettings(rate=5e-3, warmup=5, schedule="constant"),
+    )
+    go("stage1", data, tmp_path / "s1", dataclasses.replace(TINY, stage1=settings), epochs=4)
+    nll = [float(row["validation_nll"]) for row in curves(tmp_path / "s1")]
+    assert nll[-1] < nll[0] - 1.0
+
+
+# ---------------------------------------------------------------- continue and repeat
+
+
+@pytest.mark.parametrize("stage", ["stage1", "stage2", "mpnet"])
+def test_a_stopped_training_continues_on_the_same_curve(tmp_path, data, dictionary, stage):
+    options = {"dictionary": dictionary} if stage == "stage2" else {}
+    go(stage, data, tmp_path / "whole", **options)
+
+    def stop(tick):
+        if (tick.epoch, tick.batch) == (0, 1):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        go(stage, data, tmp_path / "parts", report=stop, **options)
+    assert not (tmp_path / "parts" / "curves.csv").exists()
+    go(stage, data, tmp_path / "parts", **options)
+    assert curves(tmp_path / "parts") == curves(tmp_path / "whole")
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+
+
+def test_more_epochs_continue_where_fewer_ended(tmp_path, data):
+    optimizer = dataclasses.replace(TINY.stage1.optimizer, schedule="inverse-sqrt")
+    profile = dataclasses.replace(TINY, stage1=dataclasses.replace(TINY.stage1, optimizer=optimizer))
+    go("stage1", data, tmp_path / "whole", profile, epochs=2)
+    go("stage1", data, tmp_path / "parts", profile, epochs=1)
+    assert len(curves(tmp_path / "parts")) == 1
+    go("stage1", data, tmp_path / "parts", profile, epochs=2)
+    assert curves(tmp_path / "parts") == curves(tmp_path / "whole")
+    assert go("stage1", data, tmp_path / "parts", profile, epochs=2).finished  # nothing left to do
+
+
+def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
+    go("stage1", data, tmp_path / "same", workers=1)  # processes that prepare batches change nothing
+    assert curves(tmp_path / "same") == curves(dictionary)
+    go("stage1", data, tmp_path / "other", seed=1)
+    assert curves(tmp_path / "other") != curves(dictionary)
+
+
+def test_minutes_stop_a_training_and_leave_a_model(tmp_path, data):
+    outcome = go("stage1", data, tmp_path / "s1", minutes=1e-6)
+    assert not outcome.finished and outcome.progress.step == 1
+    assert load_checkpoint(tmp_path / "s1" / "model").metadata["losses"]["step"] == 1
+    assert go("stage1", data, tmp_path / "s1").finished
+    go("stage1", data, tmp_path / "whole")
+    assert curves(tmp_path / "s1") == curves(tmp_path / "whole")
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("x")
+    with pytest.raises(InvalidInputError, match="not empty and holds no training"):
+        go("stage1", data, tmp_path / "full")
+    with pytest.raises(InvalidInputError, match=r"another seed \(0, now 3\)"):
+        go("stage1", data, dictionary, seed=3)
+    with pytest.raises(InvalidInputError, match=r"another stage \('stage1', now 'mpnet'\)"):
+        go("mpnet", data, dictionary)
+    other = write_dataset(tmp_path / "d", seed=9)
+    with pytest.raises(InvalidInputError, match="another data_sha256"):
+        go("stage1", other, dictionary)
+    profile = dataclasses.replace(TINY, stage1=dataclasses.replace(TINY.stage1, batch=5))
+    with pytest.raises(InvalidInputError, match=r"another profile.stage1.batch \(4, now 5\)"):
+        go("stage1", data, dictionary, profile)
+
+
+def test_damaged_states_are_named(tmp_path, data):
+    go("stage1", data, tmp_path / "s1", epochs=1)
+    state = tmp_path / "s1" / "state.safetensors"
+    state.write_bytes(state.read_bytes()[:200])
+    with pytest.raises(InvalidInputError, match=r"state.safetensors is damaged"):
+        go("stage1", data, tmp_path / "s1")
+
+
+def test_dictionaries_that_do_not_fit(tmp_path, data, dictionary):
+    out = tmp_path / "s2"
+    with pytest.raises(InvalidInputError, match="stage2 needs the dictionary"):
+        go("stage2", data, out)
+    with pytest.raises(InvalidInputError, match="cannot read weights"):
+        go("stage2", data, out, dictionary=tmp_path / "nowhere")
+    with pytest.raises(InvalidInputError, match="stage1 takes no dictionary"):
+        go("stage1", data, out, dictionary=dictionary)
+    checkpoint = load_checkpoint(dictionary / "model")
+    robot = RobotSignature("iiwa", checkpoint.robot.lower, checkpoint.robot.upper)
+    save_checkpoint(tmp_path / "iiwa", dataclasses.replace(checkpoint, robot=robot))
+    with pytest.raises(InvalidInputError, match="weights are for robot 'iiwa', not 'panda'"):
+        go("stage2", data, out, dictionary=tmp_path / "iiwa")
+    joints = dataclasses.replace(TINY, link_features=False)
+    with pytest.raises(InvalidInputError, match="12 features, the configuration of kind 'compact' with 0"):
+        go("stage2", data, out, joints, dictionary=dictionary)
+    assert not out.exists()
+
+
+def test_data_and_losses_that_do_not_work(tmp_path, data):
+    bare = write_dataset(tmp_path / "bare", kinematics=None)
+    with pytest.raises(InvalidInputError, match="takes link positions"):
+        go("stage1", bare, tmp_path / "a")
+    with pytest.raises(CvqmptError, match="unknown stage 'stage3'"):
+        go("stage3", data, tmp_path / "a")
+    wild = OptimizerSettings(rate=1e30, warmup=0, schedule="constant")
+    profile = dataclasses.replace(TINY, mpnet=dataclasses.replace(TINY.mpnet, optimizer=wild))
+    with pytest.raises(InvalidInputError, match=r"loss is .* in epoch 1, batch .*lower optimizer.rate"):
+        go("mpnet", data, tmp_path / "a", profile)
+
+
+def test_a_full_disk_is_one_line_and_keeps_the_earlier_state(tmp_path, monkeypatch):
+    folder = RunFolder(tmp_path / "r", {"a": 1})
+    before = (tmp_path / "r" / "training.json").read_bytes()
+
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InvalidInputError, match="No space left on device; free some space"):
+        folder.save_curves([{"epoch": 1}], {})
+    assert (tmp_path / "r" / "training.json").read_bytes() == before
+    assert [p.name for p in (tmp_path / "r").iterdir()] == ["training.json"]
+
+
+# ---------------------------------------------------------------- profiles, command line, small parts
+
+
+def test_profiles_survive_json():
+    for profile in PROFILES.values():
+        assert Profile.from_json(json.loads(json.dumps(profile.to_json()))) == profile
+    with pytest.raises(CvqmptError, match="unknown profile 'big'; valid choices: smoke, compact, published"):
+        profile_named("big")
+    data = SMOKE.to_json()
+    data["stage2"]["batches"]["speed"] = 1
+    with pytest.raises(InvalidInputError, match=r"profile.stage2.batches.speed is unknown"):
+        Profile.from_json(data)
+    data = SMOKE.to_json()
+    data["mpnet_model"]["n_points"] = 7
+    with pytest.raises(InvalidInputError, match=r"must equal profile\.mpnet_model\.n_points"):
+        Profile.from_json(data)
+
+
+def test_rates():
+    published = PROFILES["published"].stage2.optimizer
+    assert published.rate_at(2400, 1) == pytest.approx(0.15 * 512**-0.5 * 2400**-0.5)
+    assert published.rate_at(9600, 1) == pytest.approx(0.15 * 512**-0.5 * 9600**-0.5)
+    assert published.rate_at(600, 1) == pytest.approx(0.15 * 512**-0.5 * 600 * 2400**-1.5)
+    cosine = OptimizerSettings(rate=1.0, warmup=10, schedule="cosine", final=0.1)
+    assert [cosine.rate_at(s, 110) for s in (5, 10, 60, 110)] == pytest.approx([0.5, 1.0, 0.55, 0.1])
+
+
+def test_area_under_the_curve():
+    labels = np.array([True, False, True, False])
+    assert area_under_curve(np.array([4.0, 1.0, 3.0, 2.0]), labels) == 1.0
+    assert area_under_curve(np.zeros(4), labels) == 0.5
+    assert area_under_curve(np.zeros(2), np.array([True, True])) is None
+
+
+def test_the_command_line(tmp_path, capsys, data):
+    config = tmp_path / "mine.json"
+    config.write_text(json.dumps(TINY.to_json()))
+    common = ["train", "stage1", "--config", str(config), "--data", str(data), "--device", "cpu"]
+    assert main([*common, "--out", str(tmp_path / "s1"), "--epochs", "1"]) == 0
+    captured = capsys.readouterr()
+    assert "validation_nll" in captured.out and f"model in {tmp_path / 's1' / 'model'}" in captured.out
+    assert "stage1 epoch 1/1 batch 6/6 loss" in captured.err and "left" in captured.err
+    assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
+    assert Profile.from_json(json.loads(capsys.readouterr().out)) == SMOKE
+    refusals = {
+        "give --out DIR": common,
+        "no dataset in": [*common[:4], "--data", str(tmp_path), "--out", str(tmp_path / "x")],
+        "unknown device 'tpu'": [*common[:6], "--device", "tpu", "--out", str(tmp_path / "x")],
+        "unknown profile 'big'": ["train", "stage1", "--profile", "big"],
+        "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
+    }
+    for message, words in refusals.items():
+        assert main(words) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("cvqmpt: ") and message in error and error.count("\n") == 1
+    assert not Path(tmp_path / "x").exists()

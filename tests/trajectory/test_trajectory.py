@@ -1,0 +1,462 @@
+"""Timing of paths: against toppra, against the limits themselves, and what is refused."""
+
+import csv
+import json
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+import toppra
+from toppra.algorithm import TOPPRA
+from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+from toppra.interpolator import AbstractGeometricPath
+
+from cli.main import main
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.trajectory.curve import smooth_curve
+from cvqmpt_lab.trajectory.export import save_trajectory
+from cvqmpt_lab.trajectory.speed_profile import squared_speeds
+from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
+
+FULL = TimingSettings(speed=1.0)
+TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))
+
+
+@pytest.fixture(scope="module")
+def solutions():
+    """Certified solutions of four tuning problems."""
+    problems = (place_problem(e) for e in TUNING_ENVIRONMENTS)
+    solvable = islice((p for p in problems if not isinstance(p, UnsolvableProblem)), 4)
+    found = [solve(p, BiRRT(), Budget(iterations=20_000), seed=0, clearance=False) for p in solvable]
+    assert all(s.solved for s in found)
+    return found
+
+
+@pytest.fixture(scope="module")
+def paths(solutions):
+    return [s.simplified.path.states for s in solutions]
+
+
+@pytest.fixture(scope="module")
+def limits(panda):
+    return panda.joint_limits
+
+
+@pytest.fixture(scope="module")
+def motion(paths, limits):
+    return time_path(paths[0], limits, FULL)
+
+
+# ---------------------------------------------------------------- as fast as can be
+
+
+class Curve(AbstractGeometricPath):
+    """One of our curves, for toppra."""
+
+    def __init__(self, curve):
+        self.curve = curve
+
+    def __call__(self, s, order=0):
+        return self.curve.spline(s, order)
+
+    dof = property(lambda self: self.curve.spline.c.shape[1])
+    path_interval = property(lambda self: np.array([0.0, self.curve.length]))
+    waypoints = None
+
+
+def toppra_duration(curve, limits, grid):
+    toppra.setup_logging("ERROR")
+    both = DiscretizationType.Interpolation
+    constraints = [
+        JointVelocityConstraint(np.stack([-limits.velocity, limits.velocity], axis=1)),
+        JointAccelerationConstraint(np.stack([-limits.acceleration, limits.acceleration], axis=1), both),
+    ]
+    instance = TOPPRA(constraints, Curve(curve), gridpoints=grid)
+    _, speed, _ = instance.compute_parameterization(0.0, 0.0)
+    return float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.1])
+def test_durations_are_those_of_toppra(paths, limits, speed):
+    for path in paths:
+        curve = smooth_curve(path, FULL.deviation)
+        fine = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
+        expected = toppra_duration(curve, limits.scaled(speed), fine)
+        duration = time_path(path, limits, TimingSettings(speed=speed)).duration
+        assert duration == pytest.approx(expected, rel=0.01)
+
+
+def test_the_linear_objective_loses_next_to_nothing_to_the_time_itself(paths, limits):
+    for path in paths[:2]:
+        linear, least = (time_path(path, limits, replace(FULL, objective=o)) for o in ("speed", "time"))
+        assert 0.9999 < linear.duration / least.duration < 1.002
+        assert not np.array_equal(linear.times, least.times)
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(0.5, 2.0 * np.sqrt(0.5 / 4.0)), (3.0, 3.0 / 2.0 + 0.5)])
+def test_a_straight_line_takes_the_time_of_a_trapezoid(distance, expected):
+    """Joint 'first' alone: speeds up at 4, goes 2 at most."""
+    line = np.array([[0.1, 0.3], [0.1 + distance, 0.3]])
+    assert time_path(line, TWO_JOINTS, FULL).duration == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_way_back_takes_as_long(paths, limits):
+    there, back = (time_path(p, limits, FULL).duration for p in (paths[1], paths[1][::-1]))
+    assert back == pytest.approx(there, rel=5e-3)
+
+
+# ---------------------------------------------------------------- within the limits, on the path
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.1, 0.01])
+def test_limits_hold_between_the_points_too(paths, limits, speed):
+    """By differences of positions alone, at 20 000 moments."""
+    for path in paths[:2]:
+        motion = time_path(path, limits, TimingSettings(speed=speed))
+        times = np.linspace(0.0, motion.duration, 20_001)
+        velocities = np.diff(motion.at(times).positions, axis=0) / times[1]
+        accelerations = np.diff(velocities, axis=0) / times[1]
+        fastest = (np.abs(velocities) / limits.velocity).max()
+        hardest = (np.abs(accelerations) / limits.acceleration).max()
+        assert fastest <= 1.001 * speed and hardest <= 1.02 * speed
+        assert max(fastest, hardest) > 0.98 * speed, "and are made use of"
+
+
+def test_it_rests_at_both_ends_and_moves_between(motion, paths):
+    assert np.array_equal(motion.velocities[[0, -1]], np.zeros((2, 7)))
+    assert np.abs(motion.positions[[0, -1]] - paths[0][[0, -1]]).max() < 1e-12
+    assert (np.diff(motion.times) > 0.0).all() and motion.times[0] == 0.0
+    assert np.linalg.norm(motion.velocities[1:-1], axis=1).min() > 0.0
+
+
+def segment_distances(points, path):
+    """Distance of each point (k, n) from a polyline (m, n)."""
+    a, d = path[:-1], np.diff(path, axis=0)
+    share = np.clip(((points[:, None] - a) * d).sum(-1) / (d**2).sum(-1), 0.0, 1.0)
+    return np.linalg.norm(points[:, None] - a - share[..., None] * d, axis=-1).min(axis=1)
+
+
+@pytest.mark.parametrize("deviation", [1e-2, 1e-3, 1e-4])
+def test_the_motion_stays_as_close_to_the_path_as_it_says(paths, limits, deviation):
+    motion = time_path(paths[1], limits, replace(FULL, deviation=deviation))
+    points = motion.at(np.linspace(0.0, motion.duration, 3000)).positions
+    furthest = segment_distances(points, paths[1]).max()
+    assert 0.2 * motion.deviation < furthest <= 1.001 * motion.deviation <= 1.001 * deviation
+
+
+def test_cutting_corners_more_is_faster(paths, limits):
+    durations = [time_path(paths[1], limits, replace(FULL, deviation=d)).duration for d in (1e-4, 1e-3, 1e-2)]
+    assert durations == sorted(durations, reverse=True) and durations[0] > 1.05 * durations[-1]
+
+
+def test_joints_stay_within_the_range_of_the_path(paths, motion):
+    assert (motion.positions >= paths[0].min(axis=0) - 1e-12).all()
+    assert (motion.positions <= paths[0].max(axis=0) + 1e-12).all()
+
+
+def test_the_timed_motion_is_certified_too(solutions, limits):
+    for solution in solutions:
+        motion = time_path(solution.simplified.path.states, limits)
+        positions = motion.sampled(0.02).positions
+        assert certify(solution.problem, Path(positions), clearance=False).reasons == ()
+
+
+def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
+    seen = []
+
+    def too_far(states):
+        seen.append(segment_distances(states, paths[0]).max())
+        return ("too far",) if seen[-1] > 2e-4 else ()
+
+    motion = time_path(paths[0], limits, FULL, too_far)
+    assert len(seen) > 1 and seen[0] > 2e-4 and segment_distances(motion.positions, paths[0]).max() <= 2e-4
+    with pytest.raises(
+        InvalidInputError, match=r"refused even .* rad from it: never; plan with another seed"
+    ):
+        time_path(paths[0], limits, FULL, lambda states: ("never",))
+
+
+def test_a_path_that_turns_back_is_passed_without_a_stop():
+    there_and_back = np.array([[0.0, 0.0], [1.0, 0.2], [0.0, 0.0]])
+    motion = time_path(there_and_back, TWO_JOINTS, replace(FULL, deviation=1e-2))
+    one_way = time_path(there_and_back[:2], TWO_JOINTS, FULL)
+    assert motion.duration == pytest.approx(2.0 * one_way.duration, rel=0.05)
+    assert motion.positions[:, 0].max() == pytest.approx(1.0, abs=1e-2)
+
+
+# ---------------------------------------------------------------- trajectories
+
+
+def test_velocities_and_accelerations_are_derivatives(motion):
+    t = np.linspace(0.0, motion.duration, 400)[1:-1] + 1e-4
+    h = 1e-6
+    before, now, after = motion.at(t - h), motion.at(t), motion.at(t + h)
+    np.testing.assert_allclose((after.positions - before.positions) / (2 * h), now.velocities, atol=1e-4)
+    inside = np.array([np.abs(motion.times - x).min() > 2 * h for x in t])
+    slopes = (after.velocities - before.velocities) / (2 * h)
+    np.testing.assert_allclose(slopes[inside], now.accelerations[inside], atol=1e-3)
+    middles = 0.5 * (motion.times[1:] + motion.times[:-1])
+    mean = 0.5 * (motion.accelerations[1:] + motion.accelerations[:-1])
+    assert np.median(np.abs(motion.at(middles).accelerations - mean)) < 0.05
+
+
+def test_a_moment_or_many_may_be_asked_for(motion):
+    one, many = motion.at(0.3), motion.at(np.array([0.3, 0.5]))
+    assert one.positions.shape == (7,) and many.positions.shape == (2, 7)
+    assert all(np.array_equal(a, b[0]) for a, b in zip(one, many, strict=True))
+    np.testing.assert_allclose(motion.at(motion.times).positions, motion.positions, atol=1e-12)
+
+
+def test_before_and_after_the_arm_stands_still(motion):
+    early, late = motion.at(-1.0), motion.at(motion.duration + 1.0)
+    assert np.array_equal(early.positions, motion.positions[0])
+    np.testing.assert_allclose(late.positions, motion.positions[-1], atol=1e-12)
+    assert not any(x.any() for x in (*early[1:], *late[1:]))
+    with pytest.raises(InvalidInputError, match="time nan"):
+        motion.at(np.nan)
+
+
+def test_even_sampling_is_the_same_motion(motion):
+    even = motion.sampled(0.01)
+    assert np.ptp(np.diff(even.times)) < 1e-9 and np.diff(even.times).max() <= 0.01 + 1e-12
+    assert even.duration == motion.duration and even.joint_names == motion.joint_names
+    assert np.abs(even.at(0.333).positions - motion.at(0.333).positions).max() < 1e-3
+    with pytest.raises(InvalidInputError, match=r"sampling period 0\.0"):
+        motion.sampled(0.0)
+
+
+# ---------------------------------------------------------------- files
+
+
+def test_csv_holds_every_number(motion, tmp_path):
+    save_trajectory(motion, tmp_path / "motion.csv")
+    with (tmp_path / "motion.csv").open(newline="") as handle:
+        header, *rows = csv.reader(handle)
+    names = [
+        f"panda_joint{i}_{kind}" for kind in ("position", "velocity", "acceleration") for i in range(1, 8)
+    ]
+    assert header == ["time", *names]
+    table = np.array(rows, dtype=float)
+    stored = np.hsplit(table, [1, 8, 15])
+    expected = (motion.times[:, None], motion.positions, motion.velocities, motion.accelerations)
+    assert all(np.array_equal(a, b) for a, b in zip(stored, expected, strict=True))
+    assert [p.name for p in tmp_path.iterdir()] == ["motion.csv"]
+
+
+def test_json_is_a_ros_message(motion, tmp_path):
+    save_trajectory(motion, tmp_path / "motion.json")
+    message = json.loads((tmp_path / "motion.json").read_text())
+    assert set(message) == {"header", "joint_names", "points"}
+    assert message["joint_names"] == list(motion.joint_names)
+    fields = {"positions", "velocities", "accelerations", "effort", "time_from_start"}
+    assert all(set(point) == fields for point in message["points"])
+    stamps = [point["time_from_start"] for point in message["points"]]
+    assert all(0 <= s["nanosec"] < 10**9 and isinstance(s["sec"], int) for s in stamps)
+    times = np.array([s["sec"] + 1e-9 * s["nanosec"] for s in stamps])
+    np.testing.assert_allclose(times, motion.times, atol=1e-9)
+    assert (np.diff(times) > 0.0).all() and motion.duration > 1.0
+    for field in ("positions", "velocities", "accelerations"):
+        assert np.array_equal([point[field] for point in message["points"]], getattr(motion, field))
+
+
+def test_other_files_and_folders_are_refused(motion, tmp_path):
+    with pytest.raises(UnknownChoiceError, match=r"'\.yaml'; valid choices: \.csv, \.json"):
+        save_trajectory(motion, tmp_path / "motion.yaml")
+    with pytest.raises(RunStoreError, match="nowhere"):
+        save_trajectory(motion, tmp_path / "nowhere" / "motion.csv")
+
+
+# ---------------------------------------------------------------- limits of robots
+
+
+def test_the_panda_has_the_limits_of_its_data_sheet(panda):
+    assert panda.joint_limits.velocity.tolist() == [2.175] * 4 + [2.61] * 3
+    assert panda.joint_limits.acceleration.tolist() == [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
+    assert panda.joint_limits.joint_names == panda.joint_names
+
+
+def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(slider_arm_urdf):
+    bare = load_robot(slider_arm_urdf, "tool")
+    with pytest.raises(
+        InvalidInputError, match=r"no acceleration limits.*acceleration_limits=.*--acceleration"
+    ):
+        _ = bare.joint_limits
+    assert "acceleration_limits" not in bare.source
+    given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])
+    assert given.joint_limits.velocity.tolist() == [1.0] * 4
+    for again in (robot_from_source(json.loads(json.dumps(given.source))), pickle.loads(pickle.dumps(given))):
+        assert again.joint_limits.acceleration.tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert (
+        load_robot(slider_arm_urdf, "tool", acceleration_limits=2).acceleration_limits.tolist() == [2.0] * 4
+    )
+    locked = load_robot(slider_arm_urdf, "tool", locked={"lift": 0.0}, acceleration_limits=[1.0, 3.0, 4.0])
+    assert locked.joint_limits.joint_names == ("rail", "bend", "twist")
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([1.0, 2.0, 3.0], r"shape \(3,\): give 4 numbers .* rail, lift, bend, twist"),
+        ([1.0, 0.0, 3.0, 4.0], r"0\.0 of joint 'lift': give a finite number above 0"),
+        ([1.0, 2.0, -3.0, 4.0], r"-3\.0 of joint 'bend'"),
+        ([1.0, 2.0, 3.0, np.nan], r"nan of joint 'twist'"),
+        ("fast", r"'fast': give 4 numbers"),
+    ],
+)
+def test_bad_accelerations_are_named(slider_arm_urdf, values, words):
+    with pytest.raises(InvalidInputError, match=words):
+        load_robot(slider_arm_urdf, "tool", acceleration_limits=values)
+
+
+def test_a_urdf_without_speeds_is_named_when_timing_asks(slider_arm_urdf, tmp_path):
+    still = tmp_path / "still.urdf"
+    still.write_text(slider_arm_urdf.read_text().replace('velocity="1"', 'velocity="0"', 1))
+    arm = load_robot(still, "tool", acceleration_limits=1.0)
+    with pytest.raises(InvalidInputError, match=r"velocity limit 0\.0 of joint 'rail'"):
+        _ = arm.joint_limits
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def broken(change):
+    path = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.1]])
+    return change(path)
+
+
+def put(path, place, value):
+    path[place] = value
+    return path
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "words"),
+    [
+        (broken(lambda p: p[:1]), r"shape \(1, 2\): give \(m, n\), two or more"),
+        (broken(lambda p: p[[0, 1, 1, 2]]), "waypoint 2 repeats waypoint 1: leave one"),
+        (broken(lambda p: p[[0, 1, 2, 2]]), "waypoint 3 repeats waypoint 2"),
+        (broken(lambda p: put(p, (2, 1), np.nan)), "waypoint 2 has nan at joint index 1"),
+        (broken(lambda p: put(p, (0, 0), -np.inf)), "waypoint 0 has -inf at joint index 0"),
+        (broken(lambda p: p[:, :1]), "waypoints have 1 joints, the limits 2: first, second"),
+        (broken(lambda p: p[0]), r"shape \(2,\)"),
+        ([[0.0, 1.0], [0.0]], "not an array of numbers"),
+    ],
+)
+def test_bad_waypoints_are_named(waypoints, words):
+    with pytest.raises(InvalidInputError, match=words):
+        time_path(waypoints, TWO_JOINTS)
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "words"),
+    [
+        *(
+            ({"speed": s}, InvalidInputError, f"speed factor {s}:.*at most 1")
+            for s in (0.0, -0.1, 1.1, np.nan)
+        ),
+        *(({"deviation": d}, InvalidInputError, f"deviation {d}: give") for d in (0.0, -1.0, np.nan, np.inf)),
+        ({"objective": "best"}, UnknownChoiceError, "'best'; valid choices: speed, time"),
+    ],
+)
+def test_bad_settings_are_named(settings, error, words):
+    with pytest.raises(error, match=words):
+        time_path(broken(lambda p: p), TWO_JOINTS, TimingSettings(**settings))
+
+
+def test_what_cannot_be_timed_names_joint_and_place():
+    """Joint 'second' moves at the end alone, and hardly may."""
+    path = np.array([[x, max(0.0, x - 1.3)] for x in np.linspace(0.0, 1.5, 16)])
+    for kind in ("velocity", "acceleration"):
+        slow = replace(TWO_JOINTS, **{kind: np.array([2.0, 1e-13])})
+        with pytest.raises(InvalidInputError, match=f"joint 'second', {kind} limit 1e-13") as caught:
+            time_path(path, slow, FULL)
+        waypoint = int(str(caught.value).partition("(waypoint ")[2].partition(")")[0])
+        assert waypoint >= 12, "where it moves"
+
+
+@pytest.mark.parametrize("factor", [1e-5, 1e5])
+def test_the_unit_of_time_does_not_matter(paths, limits, factor):
+    other = JointLimits(limits.joint_names, factor * limits.velocity, factor**2 * limits.acceleration)
+    here, there = (time_path(paths[0], x, FULL).duration for x in (limits, other))
+    assert factor * there == pytest.approx(here, rel=1e-4)
+
+
+def test_squared_speeds_are_zero_at_the_ends_alone(paths, limits):
+    squared = squared_speeds(smooth_curve(paths[0], 1e-3), limits)
+    assert squared[0] == squared[-1] == 0.0 and squared[1:-1].min() > 0.0
+
+
+# ---------------------------------------------------------------- command line
+
+
+def planned(capsys, *words):
+    code = main(["plan", *map(str, words)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_plan_writes_the_motion_of_a_certified_path(capsys, tmp_path):
+    out = tmp_path / "motion.json"
+    code, text, _ = planned(capsys, "place-task", "--problem", 1, "--trajectory", out, "--speed", 0.5)
+    message = json.loads(out.read_text())
+    last = message["points"][-1]["time_from_start"]
+    line = next(line for line in text.splitlines() if line.startswith("trajectory"))
+    assert code == 0 and "at 0.5 of the joint limits" in line and "certified" in line and str(out) in line
+    assert float(line.split()[1]) == pytest.approx(last["sec"] + 1e-9 * last["nanosec"], abs=0.01)
+    fastest = np.abs([point["velocities"] for point in message["points"]]).max(axis=0)
+    assert (fastest / panda().joint_limits.velocity).max() == pytest.approx(0.5, rel=0.01)
+
+
+def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, slider_arm_urdf):
+    file, out = tmp_path / "arm.json", tmp_path / "motion.csv"
+    PlanningProblem("reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]).save(file)
+    words = ("--problem-file", file, "--urdf", slider_arm_urdf, "--end-effector", "tool", "--trajectory", out)
+    code, _, error = planned(capsys, *words)
+    assert code == 2 and "--acceleration" in error and len(error.splitlines()) == 1 and not out.exists()
+    code, text, _ = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
+    assert code == 0 and out.read_text().startswith("time,rail_position,lift_position,")
+    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, (
+        "1 rad at 1 rad/s and starting and stopping"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("--trajectory motion.txt", "'.txt'; valid choices: .csv, .json"),
+        ("--trajectory /nope/motion.csv", "folder /nope does not exist"),
+        ("--trajectory motion.csv --speed 1.5", "speed factor 1.5"),
+        ("--trajectory motion.csv --speed 0", "speed factor 0.0"),
+        ("--trajectory motion.csv --speed fast", "'fast'"),
+        ("--speed 0.5", "--trajectory"),
+        ("--acceleration 1", "--urdf"),
+    ],
+)
+def test_what_plan_refuses_about_trajectories(capsys, words, expected):
+    code, text, error = planned(capsys, "place-task", *words.split())
+    assert code == 2 and text == "" and expected in error and len(error.splitlines()) == 1
+
+
+def test_nothing_is_written_without_a_certified_path(capsys, tmp_path):
+    out = tmp_path / "motion.csv"
+    code, text, _ = planned(capsys, "place-task", "--problem", 7, "--iterations", 1, "--trajectory", out)
+    assert code == 1 and "trajectory  none" in text and not out.exists()
+
+
+def test_cvxpy_is_loaded_only_for_trajectories():
+    program = "import sys, cli.plan_command, cvqmpt_lab.pipeline; print('cvxpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
