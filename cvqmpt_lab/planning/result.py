@@ -110,6 +110,7 @@ class PlanResult:
     seconds: wall time of the whole run, networks included. vertices: nodes in all trees. sampler: name of the
         distribution used.
     detail: one line more, e.g. about a failure, or "".
+    fallback: why the path did not come the way the planner's name promises, or "".
     timings: which of the seconds were not search.
     """
 
@@ -121,6 +122,7 @@ class PlanResult:
     sampler: str
     trees: tuple[Tree, ...] = field(default=())
     detail: str = ""
+    fallback: str = ""
     timings: Timings = field(default_factory=Timings)
 
     @property
