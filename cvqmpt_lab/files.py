@@ -1,0 +1,92 @@
+"""Files read and written whole: a written file is complete or not there, and errors name the path."""
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.errors import InvalidInputError
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside `path` to write to; what is there at the end is moved to `path` at once.
+
+    Raises
+    ------
+    InvalidInputError
+        When the folder cannot be written to; `path` is then as it was, and nothing is left beside it.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose a writable folder") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write data as `replacing` does, and wait until the disk has it."""
+    with replacing(path) as temporary, temporary.open("wb") as handle:
+        handle.write(data)
+        handle.flush()
+        os.fsync(handle.fileno())
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text as `write_bytes` does."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def make_folder(path: Path) -> Path:
+    """Make a folder with its parents, unless it is there; InvalidInputError names it when that fails."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(
+            f"cannot make folder {path}: {error.strerror}; choose a writable one"
+        ) from error
+    return Path(path)
+
+
+def read_bytes(path: Path, what: str = "file") -> bytes:
+    """Read a file; InvalidInputError, which calls it `what`, names a path that cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error
+
+
+def read_text(path: Path, what: str = "file") -> str:
+    """Read UTF-8 text as `read_bytes` does."""
+    try:
+        return read_bytes(path, what).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
+
+
+def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
+    """Read one json object as `read_text` does; a key that occurs twice in one object is refused."""
+    text = read_text(path, what)
+    try:
+        data = json.loads(text, object_pairs_hook=_unique_keys)
+    except (ValueError, RecursionError) as error:  # no json, or nested too deeply
+        raise InvalidInputError(f"{what} {path} is not json: {error}") from error
+    if not isinstance(data, dict):
+        raise InvalidInputError(f"{what} {path} must hold one json object")
+    return data
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"key {twice!r} occurs twice in one object")
+    return data

@@ -1,0 +1,60 @@
+import os
+
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import make_folder, read_json_object, read_text, replacing, write_bytes, write_text
+
+
+def test_written_text_comes_back_and_nothing_else_is_left(tmp_path):
+    write_text(tmp_path / "a.txt", "μ\n")
+    write_text(tmp_path / "a.txt", "σ\n")
+    assert read_text(tmp_path / "a.txt") == "σ\n"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_a_full_disk_keeps_the_old_file_and_leaves_no_other(tmp_path, monkeypatch):
+    write_bytes(tmp_path / "a", b"old")
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InvalidInputError, match=r"cannot write .*/a: No space left"):
+        write_bytes(tmp_path / "a", b"new")
+    assert (tmp_path / "a").read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+def test_what_fails_while_writing_is_not_moved_into_place(tmp_path):
+    with pytest.raises(RuntimeError), replacing(tmp_path / "film.gif") as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert os.listdir(tmp_path) == []
+
+
+def test_errors_name_the_path(tmp_path):
+    (tmp_path / "latin").write_bytes(b"\xe9")
+    for run, words in (
+        (lambda: read_text(tmp_path / "absent", "task"), "cannot read task .*/absent: No such file"),
+        (lambda: read_text(tmp_path / "latin"), r"file .*/latin is not UTF-8 text \(byte 0\)"),
+        (lambda: write_text(tmp_path / "latin" / "below", ""), "cannot write .*/below: Not a directory"),
+        (lambda: make_folder(tmp_path / "latin"), "cannot make folder .*/latin: File exists"),
+    ):
+        with pytest.raises(InvalidInputError, match=words):
+            run()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1, "a": {}}', "key 'a' occurs twice"),
+        ("[1]", "must hold one json object"),
+        ("<html>", "is not json"),
+        ("[" * 100_000, "is not json"),
+    ],
+)
+def test_a_file_that_is_no_plain_json_object_is_refused(tmp_path, text, words):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InvalidInputError, match=words):
+        read_json_object(tmp_path / "a.json", "problem")
