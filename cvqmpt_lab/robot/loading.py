@@ -1,5 +1,6 @@
 """Building a `Robot` from a URDF: the Franka Panda of example-robot-data, or the user's own arm."""
 
+import copyreg
 import json
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -130,6 +131,14 @@ def robot_from_source(source: Mapping) -> Robot:
             f"problem field 'robot' is malformed: {' '.join(str(error).split())}"
         ) from error
     return _cached_mechanism(robot, articulated) if articulated else robot
+
+
+def _by_source(robot: Robot) -> tuple:
+    """How a robot is pickled: worker processes rebuild pinocchio's objects."""
+    return robot_from_source, (robot.source,)
+
+
+copyreg.pickle(Robot, _by_source)
 
 
 def _frozen(value: object) -> object:

@@ -5,6 +5,7 @@ This folder is the door to pinocchio. `Robot` carries the same model twice: as p
 two together.
 """
 
+import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,23 +17,22 @@ from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
 from cvqmpt_lab.robot.arrays import axis_frames, in_link
 from cvqmpt_lab.robot.limits import JointLimits
 
+DIGEST_DECIMALS = 9
+"""[rad or m]; coarser than what compilers and processors make of the same URDF, finer than any maker's tolerance."""
+
 
 @dataclass(frozen=True)
 class LinkGeometry:
-    """One convex piece of a link.
-
-    Attributes
-    ----------
-    name: as in the URDF, e.g. ``panda_link5_0``.
-    link: pose row (0 = world, j + 1 = joint j) that carries it.
-    T_link_geometry: (4, 4).
-    vertices: (n, 3) hull vertices in the geometry frame [m].
-    """
+    """One convex piece of a link."""
 
     name: str
+    """As in the URDF, e.g. ``panda_link5_0``."""
     link: int
+    """Pose row that carries it: 0 is the world, j + 1 joint j."""
     T_link_geometry: np.ndarray
+    """(4, 4)."""
     vertices: np.ndarray
+    """(n, 3) corners of the hull in the geometry frame [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,38 +40,34 @@ class Robot:
     """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
 
     Build it with `panda`, `load_robot` or `with_articulated_object`.
-
-    Attributes
-    ----------
-    name: model name. source: what a problem file says to get this robot back.
-    model, collision_model: pinocchio's model and geometry model (convex hulls).
-    end_effector: frame whose pose constraints and goals speak of; end_effector_link: its pose row and T_link_frame.
-    links: convex pieces; self_collision_pairs: index pairs into links that are checked.
-    resting_overlaps: pairs left out because they overlap at the rest configuration.
-    acceleration_limits: (n,) [rad/s^2 or m/s^2], or None where nobody gave them.
     """
 
     name: str
+    """Name of the model."""
     source: dict
+    """What a problem file says to get this robot back."""
     model: pin.Model
+    """Of pinocchio."""
     collision_model: pin.GeometryModel
+    """Of pinocchio; meshes replaced by their convex hulls."""
     end_effector: str
+    """Frame whose pose constraints and goals speak of."""
     end_effector_link: tuple[int, np.ndarray]
+    """Pose row that carries the end effector, and T_link_frame (4, 4)."""
     kinematics: Kinematics
+    """Plain arrays for the kernels."""
     links: tuple[LinkGeometry, ...]
+    """Convex pieces."""
     self_collision_pairs: tuple[tuple[int, int], ...]
+    """Indices into `links` of the pairs that are checked."""
     resting_overlaps: tuple[tuple[str, str], ...] = ()
+    """Pairs left out because they overlap at the rest configuration."""
     acceleration_limits: np.ndarray | None = None
+    """(n,) [rad/s^2 or m/s^2], or None where nobody gave them."""
     _data: pin.Data = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_data", self.model.createData())
-
-    def __reduce__(self):
-        """Pickle by source, so that worker processes rebuild the pinocchio objects."""
-        from cvqmpt_lab.robot.loading import robot_from_source
-
-        return robot_from_source, (self.source,)
 
     @property
     def dof(self) -> int:
@@ -104,6 +100,18 @@ class Robot:
             )
         velocity = np.array(self.model.upperVelocityLimit)
         return JointLimits(self.joint_names, velocity, self.acceleration_limits)
+
+    @cached_property
+    def kinematics_digest(self) -> str:
+        """Name of what moves how: equal for robots with the same joints, placements, axes and limits.
+
+        What weights were trained for. Hands, fingers and collision shapes do not matter. Equal in every process.
+        """
+        k = self.kinematics
+        digest = hashlib.sha256("\n".join(self.joint_names).encode())
+        for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):
+            digest.update((np.round(array.astype(np.float64), DIGEST_DECIMALS) + 0.0).astype("<f8").tobytes())
+        return digest.hexdigest()[:32]
 
     @cached_property
     def reach(self) -> float:

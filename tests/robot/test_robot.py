@@ -1,6 +1,8 @@
 """Robots: limits, kernel kinematics against pinocchio, and what is refused when loading."""
 
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pinocchio as pin
@@ -148,6 +150,22 @@ def test_robots_can_be_pickled(panda, slider_arm_urdf):
         assert copy.source == robot.source and copy.joint_names == robot.joint_names
         q = random_configurations(robot, 1)[0]
         np.testing.assert_array_equal(copy.pose(q), robot.pose(q))
+
+
+def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, slider_arm_urdf, edited):
+    """The hand does not matter, a limit, an axis and a placement do, and no process sees another digest."""
+    assert panda.kinematics_digest == load_panda(0.01).kinematics_digest != slider_arm.kinematics_digest
+    for old, new in (
+        ('upper="0.7"', 'upper="0.8"'),
+        ("0.6 0 0.8", "0.8 0 0.6"),
+        ("0 0.02 0.35", "0 0.02 0.36"),
+    ):
+        assert load_robot(edited((old, new)), "tool").kinematics_digest != slider_arm.kinematics_digest
+    script = (
+        f"from cvqmpt_lab.robot.loading import load_robot; print(load_robot({str(slider_arm_urdf)!r}, 'tool')"
+    )
+    printed = subprocess.check_output([sys.executable, "-c", f"{script}.kinematics_digest)"], text=True)
+    assert printed.strip() == slider_arm.kinematics_digest == "ccce46299e68f03c312831aa827b204d"
 
 
 def test_a_robot_with_package_folders_can_be_pickled(edited, tmp_path):
