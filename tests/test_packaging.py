@@ -140,9 +140,9 @@ def test_layers_and_doors_are_kept(tmp_path):
         ),
         ("    cvqmpt_lab.show.recording\n\n[", "    cvqmpt_lab.show.still\n\n[", "-> rerun"),
         (
-            "    cvqmpt_lab.show.recording\n    cvqmpt_lab.show.still |",
-            "    cvqmpt_lab.show.still | cvqmpt_lab.show.recording |",
-            "-> cvqmpt_lab.show.still",
+            "    cvqmpt_lab.show.rasteriser\n    cvqmpt_lab.show.meshes",
+            "    cvqmpt_lab.show.meshes\n    cvqmpt_lab.show.rasteriser",
+            "-> cvqmpt_lab.show.meshes",
         ),
     ],
 )

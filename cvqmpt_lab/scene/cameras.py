@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.rays import ray_interval, seen_corners
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, FloatArray, Shape, Sphere, shape_vertices
+from cvqmpt_lab.scene.shapes import FloatArray
 
 _AHEAD = 1e-3
 """Corners must lie this far ahead of a camera for their rectangle in the image to be known [m]."""
@@ -46,11 +46,13 @@ class BallCrop:
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A camera at `eye` that looks at `target` [m], upright; eye and target must differ."""
+class DepthCamera:
+    """A virtual depth camera, upright."""
 
     eye: tuple[float, float, float]
+    """Where it stands [m]."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What it looks at [m]; another point than `eye`."""
 
     def __post_init__(self) -> None:
         if not np.isfinite([*self.eye, *self.target]).all() or np.allclose(self.eye, self.target):
@@ -72,7 +74,7 @@ def cameras_on_sphere(
     elevations: tuple[float, ...],
     radius: float = 2.0,
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> tuple[Camera, ...]:
+) -> tuple[DepthCamera, ...]:
     """Cameras at every pair of azimuth and elevation [deg], `radius` [m] from the point they look at."""
     cameras = []
     for elevation in np.radians(elevations):
@@ -83,39 +85,40 @@ def cameras_on_sphere(
                 math.sin(elevation),
             )
             x, y, z = (float(c + radius * d) for c, d in zip(centre, direction, strict=True))
-            cameras.append(Camera((x, y, z), centre))
+            cameras.append(DepthCamera((x, y, z), centre))
     return tuple(cameras)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Where cameras stand and what becomes of what they see; defaults are the published kitchen's.
+    """Where cameras stand and what becomes of what they see; defaults are the published kitchen's."""
 
-    Attributes
-    ----------
-    width, height: of each image [pixels]; vertical_fov: its angle of view [deg].
-    near, far: depths between which surfaces are seen [m].
-    obstacles_only: leave out what is no obstacle, such as the floor.
-    crop: what is kept of the merged points.
-    voxel: edge of the grid in whose cells points are averaged [m]; None to keep all.
-    noise: standard deviation added to every coordinate [m].
-    points: of the cloud, drawn at random, repeated when there are fewer; None for what there is. Models that
-        take the neighbours of lowest index need points in random order, which they always are.
-    """
-
-    cameras: tuple[Camera, ...] = field(
+    cameras: tuple[DepthCamera, ...] = field(
         default_factory=lambda: cameras_on_sphere((135.0, -135.0), (40.0, -40.0))
     )
     width: int = 224
+    """Of each image [pixels]."""
     height: int = 224
+    """Of each image [pixels]."""
     vertical_fov: float = 45.0
+    """Angle of view from the bottom to the top of an image [deg]."""
     near: float = 1.0
+    """Nearer surfaces are looked through [m]."""
     far: float = 5.1
+    """Farther surfaces are not seen [m]."""
     obstacles_only: bool = False
+    """Leave out what is no obstacle, such as the floor."""
     crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)
+    """What is kept of the merged points."""
     voxel: float | None = 0.025
+    """Edge of the grid in whose cells points are averaged [m]; None to keep all."""
     noise: float = 0.0
+    """Standard deviation added to every coordinate [m]."""
     points: int | None = None
+    """Size of the cloud, drawn at random, repeated when there are fewer; None for what there is.
+
+    Models that take the neighbours of lowest index need points in random order, which they always are.
+    """
 
     def __post_init__(self) -> None:
         if min(self.width, self.height) < 1 or not 0.0 < self.vertical_fov < 180.0:
@@ -198,7 +201,7 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
     return np.stack(sums, axis=1) / count[:, None]
 
 
-def depth_image(scene: Scene, camera: Camera, settings: CameraSettings) -> FloatArray:
+def depth_image(scene: Scene, camera: DepthCamera, settings: CameraSettings) -> FloatArray:
     """Depth (height, width) [m] along the camera's axis at the centre of each pixel, inf where it sees nothing."""
     rays = _rays(camera, settings)
     depth = np.full(rays.shape[:2], np.inf)
@@ -207,13 +210,13 @@ def depth_image(scene: Scene, camera: Camera, settings: CameraSettings) -> Float
             T = item.T_world_object
             eye = (np.array(camera.eye) - T[:3, 3]) @ T[:3, :3]
             with np.errstate(divide="ignore", invalid="ignore"):
-                enter, leave = _inside(item.shape, eye, rays[window] @ T[:3, :3])
+                enter, leave = ray_interval(item.shape, eye, rays[window] @ T[:3, :3])
             seen = (enter <= leave) & (enter >= settings.near) & (enter <= settings.far)
             np.minimum(depth[window], np.where(seen, enter, np.inf), out=depth[window])
     return depth
 
 
-def _rays(camera: Camera, settings: CameraSettings) -> FloatArray:
+def _rays(camera: DepthCamera, settings: CameraSettings) -> FloatArray:
     """Rays (height, width, 3) through the pixels' centres, of depth 1 m."""
     tall = math.tan(0.5 * math.radians(settings.vertical_fov))
     wide = tall * settings.width / settings.height
@@ -223,10 +226,12 @@ def _rays(camera: Camera, settings: CameraSettings) -> FloatArray:
     return ahead + y[:, None, None] * up + x[:, None] * right
 
 
-def _windows(item: SceneObject, camera: Camera, settings: CameraSettings) -> Iterator[tuple[slice, slice]]:
+def _windows(
+    item: SceneObject, camera: DepthCamera, settings: CameraSettings
+) -> Iterator[tuple[slice, slice]]:
     """The rectangle of the image that an object can be seen in, or none."""
     T = item.T_world_object
-    corners = _corners(item.shape, item.name) @ T[:3, :3].T + T[:3, 3]
+    corners = seen_corners(item.shape, item.name) @ T[:3, :3].T + T[:3, 3]
     right, up, ahead = camera.axes @ (corners - camera.eye).T
     if ahead.max() < settings.near or ahead.min() > settings.far:
         return
@@ -245,54 +250,3 @@ def _windows(item: SceneObject, camera: Camera, settings: CameraSettings) -> Ite
 def _pixels(places: FloatArray, count: int) -> slice:
     """Pixels of `count` in a row whose centres may lie between the least and the largest of some places."""
     return slice(max(0, math.floor(places.min() - 0.5)), min(count, math.ceil(places.max() + 0.5)))
-
-
-def _corners(shape: Shape, name: str) -> FloatArray:
-    """Points (n, 3) [m] whose convex hull holds the shape, in its frame."""
-    match shape:
-        case Box() | ConvexMesh():
-            return shape_vertices(shape)
-        case Cylinder(radius, height):
-            return shape_vertices(Box((2.0 * radius, 2.0 * radius, height)))
-        case Sphere(radius):
-            return shape_vertices(Box((2.0 * radius,) * 3))
-    raise InvalidInputError(
-        f"cameras cannot see object {name!r}, a {type(shape).__name__}: use its points as the cloud"
-    )
-
-
-def _inside(shape: Shape, eye: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where along each ray (..., 3) from eye (3,), in the shape's frame, it enters and leaves the shape [rays]."""
-    match shape:
-        case Box(size):
-            return _between_planes(eye, rays, np.multiply(0.5, size))
-        case Sphere(radius):
-            return _within_radius(eye, rays, radius)
-        case Cylinder(radius, height):
-            side = _within_radius(eye[:2], rays[..., :2], radius)
-            ends = _between_planes(eye[2:], rays[..., 2:], np.array([0.5 * height]))
-            return np.maximum(side[0], ends[0]), np.minimum(side[1], ends[1])
-        case ConvexMesh(vertices):
-            planes = ConvexHull(vertices).equations
-            towards = rays @ planes[:, :3].T
-            cut = -(planes[:, :3] @ eye + planes[:, 3]) / towards
-            enter = np.where(towards < 0.0, cut, -np.inf).max(axis=-1)
-            beside = (towards == 0.0) & (planes[:, :3] @ eye + planes[:, 3] > 0.0)
-            leave = np.where(towards > 0.0, cut, np.inf).min(axis=-1)
-            return enter, np.where(beside.any(axis=-1), -np.inf, leave)
-    raise TypeError(type(shape))
-
-
-def _between_planes(eye: FloatArray, rays: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Interval of each ray (..., d) in which every coordinate lies between -half and half (d,)."""
-    one, other = (-half - eye) / rays, (half - eye) / rays
-    return np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
-
-
-def _within_radius(eye: FloatArray, rays: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Interval of each ray (..., d) that lies less than radius from the origin of its d coordinates."""
-    a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
-    c = eye @ eye - radius * radius
-    root = np.sqrt(b * b - a * c)  # NaN for rays that miss, which then compare as false
-    parallel = np.where(c <= 0.0, np.inf, np.nan)
-    return np.where(a > 0.0, (-b - root) / a, -parallel), np.where(a > 0.0, (root - b) / a, parallel)

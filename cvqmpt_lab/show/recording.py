@@ -22,7 +22,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
-from cvqmpt_lab.show.still import (
+from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
     GOAL_COLOUR,
     LOAD_COLOUR,

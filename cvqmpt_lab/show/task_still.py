@@ -7,7 +7,8 @@ import numpy as np
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.show.still import Camera, still_image, write_png
+from cvqmpt_lab.show.rasteriser import Viewpoint
+from cvqmpt_lab.show.still import still_image, write_png
 from cvqmpt_lab.tasks.solve_task import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import HeldDoor, Load, World
@@ -60,7 +61,7 @@ def draw_task(
     path: Path,
     size: tuple[int, int] = (600, 450),
     columns: int = 3,
-    camera: Camera | None = None,
+    viewpoint: Viewpoint | None = None,
 ) -> list[str]:
     """Write a PNG with a picture of the start and of the end of each planned phase, row by row; their names.
 
@@ -79,10 +80,10 @@ def draw_task(
     sheet = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
     for k, (_, world) in enumerate(chosen):
         top, left = (k // columns) * (height + GAP), (k % columns) * (width + GAP)
-        image = still_image(shown(world), world.q, size, camera or CAMERA)
+        image = still_image(shown(world), world.q, size, viewpoint or VIEWPOINT)
         sheet[top : top + height, left : left + width] = image
     write_png(Path(path), sheet)
     return [name for name, _ in chosen]
 
 
-CAMERA = Camera(eye=(-1.35, -1.75, 1.55), target=(0.30, -0.20, 0.50), height_angle=0.72)
+VIEWPOINT = Viewpoint(eye=(-1.35, -1.75, 1.55), target=(0.30, -0.20, 0.50), height_angle=0.72)

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import write_bytes_atomic
-from cvqmpt_lab.show.still import Camera, still_image
+from cvqmpt_lab.show.rasteriser import Viewpoint
+from cvqmpt_lab.show.still import still_image
 from experiments.figures.hand_poses import HandPoses
 from experiments.figures.histogram import CodeChange
 from experiments.figures.latent_update import FAR, NEAR
@@ -23,7 +24,7 @@ BEFORE, AFTER = "#8c96a3", "#1f6fb4"
 FORMATS = ("png", "svg")
 DPI = 160
 STICK = 0.09  # [m] length of the stick that shows which way a hand points up
-CLOSE = Camera(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
+CLOSE = Viewpoint(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
@@ -94,17 +95,17 @@ def _draw_tail(axes: Axes, change: CodeChange) -> None:
 
 
 def hand_figure(
-    problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], camera: Camera = CLOSE
+    problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], viewpoint: Viewpoint = CLOSE
 ) -> Figure:
     """Titled panels of hands over a picture of the scene: a stick each, upwards, coloured by its tilt."""
-    image = still_image(problem, problem.start, (900, 690), camera)
+    image = still_image(problem, problem.start, (900, 690), viewpoint)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
     tilts = np.concatenate([hands.tilt for _, hands in panels])
     norm = Normalize(0.0, np.degrees(max(0.5, np.quantile(tilts, 0.9))))
     axes_of = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, hands) in zip(axes_of, panels, strict=True):
         axes.imshow(0.45 * image / 255.0 + 0.55)
-        _draw_hands(axes, hands, camera, image.shape[:2], norm)
+        _draw_hands(axes, hands, viewpoint, image.shape[:2], norm)
         axes.set(title=title)
         axes.axis("off")
     colours = ScalarMappable(norm, "viridis_r")
@@ -114,12 +115,12 @@ def hand_figure(
 
 
 def _draw_hands(
-    axes: Axes, hands: HandPoses, camera: Camera, shape: tuple[int, ...], norm: Normalize
+    axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple[int, ...], norm: Normalize
 ) -> None:
     """Sticks from each hand along its up direction, the head a dot; farther ones first."""
     rows, columns = shape
     ends = np.stack((hands.positions, hands.positions + STICK * hands.up), axis=1)
-    screen = camera.screen(ends, (rows, columns))
+    screen = viewpoint.screen(ends, (rows, columns))
     order = np.argsort(-screen[:, 0, 2], kind="stable")
     segments, tilt = screen[order, :, :2], np.degrees(hands.tilt[order])
     sticks = LineCollection(list(segments), cmap="viridis_r", norm=norm, linewidths=1.4, alpha=0.9)
@@ -129,15 +130,15 @@ def _draw_hands(
     axes.set(xlim=(0, columns), ylim=(rows, 0))
 
 
-def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, camera: Camera = CLOSE) -> Figure:
+def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE) -> Figure:
     """A problem's scene, and beside it its cloud (m, 3) [m] from the same place, coloured by height."""
-    image = still_image(problem, problem.start, (900, 690), camera)
+    image = still_image(problem, problem.start, (900, 690), viewpoint)
     figure = Figure(figsize=(10.4, 4.05), layout="constrained")
     scene, points = axes_of = figure.subplots(1, 2)
     scene.imshow(image)
     scene.set(title="scene")
     rows, columns = image.shape[:2]
-    screen = camera.screen(cloud, (rows, columns))
+    screen = viewpoint.screen(cloud, (rows, columns))
     order = np.argsort(-screen[:, 2], kind="stable")  # farther ones first
     x, y, _ = screen[order].T
     drawn = points.scatter(x, y, c=cloud[order, 2], cmap="viridis", s=7.0)

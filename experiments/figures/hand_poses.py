@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.show.still import poses_along
+from cvqmpt_lab.show.meshes import poses_along
 from experiments.figures.histogram import write_csv
 from experiments.figures.latent_update import LatentUpdate
 

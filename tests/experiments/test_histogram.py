@@ -15,7 +15,8 @@ from cvqmpt_lab.models.checkpoint import save_checkpoint
 from cvqmpt_lab.models.weights_folder import checkpoint_sha256
 from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentSettings
 from cvqmpt_lab.prediction.predictor import Predictor
-from cvqmpt_lab.show.still import Camera, still_image
+from cvqmpt_lab.show.rasteriser import Viewpoint
+from cvqmpt_lab.show.still import still_image
 from experiments.figures.drawing import cloud_figure, figure_bytes, histogram_figure
 from experiments.figures.hand_poses import HandPoses, hand_change
 from experiments.figures.histogram import THRESHOLDS, Histogram, MarkovTail, code_changes, value_rows
@@ -166,14 +167,14 @@ def test_figures_repeat_byte_for_byte(update):
     assert first == again and b"<svg" in first
 
 
-def test_the_scene_is_drawn_where_its_camera_puts_it(few_goals):
-    camera, size = Camera(), (120, 90)
-    image = still_image(few_goals, few_goals.start, size, camera)
-    other = still_image(few_goals, few_goals.goals[0], size, camera)
+def test_the_scene_is_drawn_where_its_viewpoint_puts_it(few_goals):
+    viewpoint, size = Viewpoint(), (120, 90)
+    image = still_image(few_goals, few_goals.start, size, viewpoint)
+    other = still_image(few_goals, few_goals.goals[0], size, viewpoint)
     assert image.shape == (90, 120, 3) and image.dtype == np.uint8
     rows, columns = np.nonzero((image != other).any(axis=2))
     for q in (few_goals.start, few_goals.goals[0]):  # the hand is where the pictures differ
-        column, row, _ = camera.screen(few_goals.robot.pose(q)[:3, 3], size[::-1])
+        column, row, _ = viewpoint.screen(few_goals.robot.pose(q)[:3, 3], size[::-1])
         assert np.hypot(rows - row, columns - column).min() < 2.0
 
 

@@ -18,7 +18,7 @@ from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.scene.cameras import Camera, CameraSettings
+from cvqmpt_lab.scene.cameras import CameraSettings, DepthCamera
 from cvqmpt_lab.scene.kitchen import kitchen
 from experiments.rows import path_hash, result_row
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
@@ -220,7 +220,7 @@ def test_direct_motions_are_checked_paths_or_nothing(tuning, solution):
 
 
 def test_observers_remember_scenes_by_content(tuning):
-    camera = CameraSettings(cameras=(Camera((-2.0, 0.0, 1.0)),), width=32, height=32)
+    camera = CameraSettings(cameras=(DepthCamera((-2.0, 0.0, 1.0)),), width=32, height=32)
     observer = Observer(camera, scenes=1)
     cloud = observer(tuning)
     assert len(cloud) > 20 and not cloud.flags.writeable

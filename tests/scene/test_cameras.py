@@ -8,8 +8,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cameras import (
     BallCrop,
     BoxCrop,
-    Camera,
     CameraSettings,
+    DepthCamera,
     camera_cloud,
     cameras_on_sphere,
     depth_image,
@@ -89,7 +89,7 @@ def marched(scene, camera, settings, row, column, step=0.0005):
 
 @pytest.mark.parametrize("eye", [(-2.0, 0.3, 0.4), (-0.6, -1.5, 1.2), (-1.0, 0.4, -1.3)], ids=str)
 def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
-    camera, settings = Camera(eye), CameraSettings(width=40, height=30, near=0.5, far=4.0)
+    camera, settings = DepthCamera(eye), CameraSettings(width=40, height=30, near=0.5, far=4.0)
     depth = depth_image(mixed, camera, settings)
     assert depth.shape == (30, 40)
     rng = np.random.default_rng(0)
@@ -108,7 +108,7 @@ def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
 
 def test_every_object_is_seen_alone_as_among_others(mixed):
     """The nearest of single pictures, each culled to its own rectangle, is the picture of all."""
-    camera, settings = Camera((-2.0, 0.3, 0.4)), CameraSettings(width=60, height=60, near=0.2)
+    camera, settings = DepthCamera((-2.0, 0.3, 0.4)), CameraSettings(width=60, height=60, near=0.2)
     alone = [depth_image(Scene("one", (item,)), camera, settings) for item in mixed]
     np.testing.assert_array_equal(np.min(alone, axis=0), depth_image(mixed, camera, settings))
     seen = {item.name for item, depth in zip(mixed, alone, strict=True) if np.isfinite(depth).any()}
@@ -227,7 +227,7 @@ def test_clouds_are_like_those_of_training(family):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Camera((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
+        (lambda: DepthCamera((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
         (lambda: CameraSettings(width=0), "image of 0 x 224 pixels"),
         (lambda: CameraSettings(vertical_fov=180.0), "an angle between 0 and 180"),
         (lambda: CameraSettings(near=2.0, far=1.0), "give 0 < near < far"),
@@ -249,5 +249,5 @@ def test_an_object_that_is_a_cloud_already_is_refused():
 
 def test_a_camera_may_look_straight_down():
     scene = Scene("s", (SceneObject("box", Box((0.4, 0.4, 0.4)), np.eye(4)),))
-    depth = depth_image(scene, Camera((0.0, 0.0, 2.0)), CameraSettings(width=9, height=9))
+    depth = depth_image(scene, DepthCamera((0.0, 0.0, 2.0)), CameraSettings(width=9, height=9))
     assert depth[4, 4] == pytest.approx(1.8)

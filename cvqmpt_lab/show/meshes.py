@@ -1,0 +1,177 @@
+"""What pictures and recordings show, as coloured triangles: shapes, scenes, the robot, curves."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.hulls import prism_vertices
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, shape_vertices
+
+Colour = tuple[float, float, float]
+
+KIND_COLOURS: Mapping[str, Colour] = {
+    "floor": (0.88, 0.87, 0.85),
+    "wall": (0.93, 0.92, 0.89),
+    "handle": (0.52, 0.54, 0.57),
+    "countertop": (0.55, 0.45, 0.37),
+    "plate": (0.16, 0.16, 0.18),
+    "knob": (0.20, 0.20, 0.22),
+    "range": (0.45, 0.47, 0.50),
+    "panel": (0.96, 0.95, 0.92),
+    "hood": (0.70, 0.72, 0.75),
+    "pedestal": (0.36, 0.38, 0.42),
+    "cracker": (0.80, 0.45, 0.25),
+    "mustard": (0.93, 0.78, 0.22),
+    "can": (0.86, 0.24, 0.20),
+}
+"""Colour of the scene objects whose name contains a word; the first that fits counts."""
+OTHER_COLOUR: Colour = (0.87, 0.77, 0.62)
+ROBOT_COLOUR: Colour = (0.90, 0.90, 0.92)
+GHOST_COLOUR: Colour = (0.25, 0.50, 0.90)
+GOAL_COLOUR: Colour = (0.16, 0.68, 0.38)
+LOAD_COLOUR: Colour = (0.86, 0.24, 0.20)
+TRACE_COLOUR: Colour = (0.96, 0.55, 0.05)
+BEAD_RADIUS, BEAD_SPACING = 0.008, 0.012  # [m] of the hand's trace
+SMOOTH = np.cos(0.7)  # facets of a hull that meet at less than 0.7 rad are shaded as one curved surface
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles, anticlockwise when seen from outside."""
+
+    corners: np.ndarray
+    """(f, 3, 3) [m]."""
+    normals: np.ndarray
+    """(f, 3, 3), of the surface at each corner."""
+    colours: np.ndarray
+    """(f, 3), each channel in [0, 1]."""
+    piece: np.ndarray
+    """(f,), which piece a triangle belongs to; outlines run around pieces."""
+
+    def placed(self, T: np.ndarray, colour: Colour) -> "Mesh":
+        """The same triangles moved by T (4, 4), in one colour."""
+        turn = T[:3, :3].T
+        return Mesh(
+            self.corners @ turn + T[:3, 3], self.normals @ turn, 0 * self.colours + colour, self.piece
+        )
+
+
+def colour_of(name: str) -> Colour:
+    """Colour of a scene object, by the kind its name tells."""
+    return next((colour for word, colour in KIND_COLOURS.items() if word in name), OTHER_COLOUR)
+
+
+def is_ground(item: SceneObject) -> bool:
+    """Whether an object is a floor: a box, not an obstacle, of which only the top is worth showing."""
+    return isinstance(item.shape, Box) and not item.obstacle
+
+
+def poses_along(robot: Robot, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T_world_link (m, n + 1, 4, 4), row 0 the world, and T_world_hand (m, 4, 4) at configurations (m, n)."""
+    rotations, translations = link_poses(robot.kinematics, np.ascontiguousarray(states, dtype=float))
+    T_world_link = np.zeros((*translations.shape[:2], 4, 4))
+    T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
+    T_world_link[..., 3, 3] = 1.0
+    link, T_link_hand = robot.end_effector_link
+    return T_world_link, T_world_link[:, link] @ T_link_hand
+
+
+def hull_mesh(vertices: np.ndarray) -> Mesh:
+    """The convex hull of vertices (n, 3)."""
+    hull = ConvexHull(vertices)
+    facing, faces = hull.equations[:, :3], hull.simplices
+    twice_area = np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
+    inwards = (twice_area * facing).sum(axis=1) < 0.0
+    faces[inwards] = faces[inwards][:, ::-1]
+    weight = np.zeros((len(vertices), len(faces)))
+    weight[faces, np.arange(len(faces))[:, None]] = np.linalg.norm(twice_area, axis=1)[:, None]
+    normals = (weight[faces] * (facing @ facing.T > SMOOTH)[:, None]) @ facing
+    return Mesh(vertices[faces], unit(normals), np.ones((len(faces), 3)), np.zeros(len(faces), dtype=int))
+
+
+def shape_mesh(shape: Shape) -> Mesh:
+    """Triangles of any shape in its own frame; balls and cylinders are faceted."""
+    match shape:
+        case Cylinder(radius, height):
+            return hull_mesh(prism_vertices(radius, 0.5 * height, sides=32))
+        case Sphere(radius):
+            return hull_mesh(radius * _sphere_points(200))
+        case PointCloud(points, radius):
+            ball = hull_mesh(radius * _sphere_points(12))
+            return joined([ball.placed(pose(point), OTHER_COLOUR) for point in points])
+        case Box() | ConvexMesh():
+            return hull_mesh(shape_vertices(shape))
+
+
+def joined(meshes: Iterable[Mesh]) -> Mesh:
+    """One mesh of several, each a piece of its own."""
+    meshes = list(meshes)
+    corners, normals, colours = (
+        np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in ("corners", "normals", "colours")
+    )
+    return Mesh(corners, normals, colours, np.repeat(np.arange(len(meshes)), [len(m.piece) for m in meshes]))
+
+
+def robot_meshes(problem: PlanningProblem, q: np.ndarray, colour: Colour) -> list[Mesh]:
+    """The robot's hulls and what it carries, posed at q (n,)."""
+    (T_world_link,), (T_world_hand,) = poses_along(problem.robot, q[None])
+    links = [
+        hull_mesh(part.vertices).placed(T_world_link[part.link] @ part.T_link_geometry, colour)
+        for part in problem.robot.links
+    ]
+    loads = [
+        shape_mesh(item.shape).placed(T_world_hand @ item.T_hand_object, LOAD_COLOUR)
+        for item in problem.attachments
+    ]
+    return links + loads
+
+
+def scene_meshes(problem: PlanningProblem, hidden: Sequence[str]) -> list[Mesh]:
+    """The scene's objects but floors and those named in `hidden`."""
+    return [
+        shape_mesh(item.shape).placed(item.T_world_object, colour_of(item.name))
+        for item in problem.scene
+        if item.name not in hidden and not is_ground(item)
+    ]
+
+
+def ground_height(problem: PlanningProblem) -> float | None:
+    """Top of the highest floor [m]; None without one."""
+    tops = [
+        item.T_world_object[2, 3] + 0.5 * item.shape.size[2]
+        for item in problem.scene
+        if isinstance(item.shape, Box) and is_ground(item)
+    ]
+    return max(tops, default=None)
+
+
+def beads(points: np.ndarray, colour: Colour) -> Mesh:
+    """Balls at even distances along a curve given by points (m, 3)."""
+    travelled = travelled_along(points)
+    at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / BEAD_SPACING))
+    centres = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
+    ball = hull_mesh(BEAD_RADIUS * _sphere_points(24))
+    return joined([ball.placed(pose(centre), colour) for centre in centres])
+
+
+def travelled_along(points: np.ndarray) -> np.ndarray:
+    """Distance (m,) covered at each of the points (m, d)."""
+    return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+
+
+def _sphere_points(count: int) -> np.ndarray:
+    """Points (count, 3) spread evenly over the unit sphere (golden spiral)."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn, radius = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count), np.sqrt(1.0 - z**2)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) scaled to length 1."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -1,0 +1,29 @@
+"""What several tests of pictures and recordings share."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+@pytest.fixture(scope="session")
+def every_shape():
+    """One of each kind."""
+    return (
+        Box((0.1, 0.2, 0.3)),
+        Cylinder(0.1, 0.3),
+        Sphere(0.2),
+        ConvexMesh(CORNERS),
+        PointCloud(CORNERS, 0.05),
+    )
+
+
+@pytest.fixture(scope="package")
+def unsolved(problem):
+    """What came of `problem` in too little time."""
+    return solve(problem, BiRRT(), Budget(iterations=1), seed=0)
