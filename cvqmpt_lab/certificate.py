@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.result import Path
 from cvqmpt_lab.problem import PlanningProblem
@@ -94,18 +94,13 @@ def _violations(
     robot: Robot, regions: tuple[TaskSpaceRegion, ...], states: np.ndarray
 ) -> tuple[float, float]:
     """Largest distance outside the bounds over states (m, n), in [rad] and [m]."""
-    poses = np.array([robot.pose(q) for q in states])
     radians = metres = 0.0
     for region in regions:
-        references = np.array([region.reference_pose(robot, q) for q in states])
-        T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
-        vectors = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
-        lower, upper = region.Bw.T
+        x, (lower, upper) = displacements(robot, region, states), region.Bw.T
         free_turn = (lower[3:] <= -np.pi) & (upper[3:] >= np.pi)
-        turn = np.maximum(lower[3:] - vectors, vectors - upper[3:])[:, ~free_turn]
-        shift = np.maximum(lower[:3] - T[:, :3, 3], T[:, :3, 3] - upper[:3])
-        radians = max(radians, float(turn.max(initial=0.0)))
-        metres = max(metres, float(shift.max(initial=0.0)))
+        excess = np.maximum(lower - x, x - upper)
+        radians = max(radians, float(excess[:, 3:][:, ~free_turn].max(initial=0.0)))
+        metres = max(metres, float(excess[:, :3].max(initial=0.0)))
     return radians, metres
 
 

@@ -1,0 +1,63 @@
+"""How much of its bounds a path uses: for every bounded entry, the state closest to a bound or furthest over it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.robot.robot import Robot
+
+ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
+UNITS = ("m",) * 3 + ("rad",) * 3
+
+
+@dataclass(frozen=True)
+class BoundUse:
+    """The state of a path that stands closest to a bound of one entry of one region, or furthest beyond it."""
+
+    region: int
+    """Which of the regions, from 0."""
+    row: int
+    """Which row of its `Bw`, 0 to 5."""
+    value: float
+    """Displacement there [m] or [rad]."""
+    lower: float
+    """Lower bound, -inf where there is none [m] or [rad]."""
+    upper: float
+    """Upper bound, inf where there is none [m] or [rad]."""
+
+    @property
+    def unit(self) -> str:
+        """Of value and bounds."""
+        return UNITS[self.row]
+
+    def __str__(self) -> str:
+        """For people: "rotation about y 0.071 of 0.100 rad"."""
+        if self.lower == -self.upper:
+            return f"{ROWS[self.row]} {abs(self.value):.3g} of {self.upper:.3g} {self.unit}"
+        return f"{ROWS[self.row]} {self.value:.3g} of {self.lower:.3g} to {self.upper:.3g} {self.unit}"
+
+
+def bound_usage(robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray) -> tuple[BoundUse, ...]:
+    """The largest use of every bound of a constraint, `problem.constraint`, over states (m, n), m >= 1.
+
+    Poses by pinocchio: nothing here is shared with the planners' kernels.
+    """
+    uses = []
+    for k, region in enumerate(regions):
+        x = displacements(robot, region, states)
+        for row in map(int, region.bounded_rows):
+            lower, upper = map(float, region.Bw[row])
+            excess = np.maximum(lower - x[:, row], x[:, row] - upper)
+            uses.append(BoundUse(k, row, float(x[np.argmax(excess), row]), lower, upper))
+    return tuple(uses)
+
+
+def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
+    """Where the end effector stands in a region, (m, 6): position [m] and rotation vector [rad] that `Bw` bounds."""
+    poses = np.array([robot.pose(q) for q in states])
+    references = np.array([region.reference_pose(robot, q) for q in states])
+    T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
+    return np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
