@@ -140,6 +140,8 @@ def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
         "robot": robot.name,
         "lower": robot.lower.tolist(),
         "upper": robot.upper.tolist(),
+        "joints": list(robot.joint_names),
+        "kinematics_digest": robot.kinematics_digest,
         "families": list(recipe.families),
         "kinematics": {
             "rotation": kinematics.rotation.tolist(),

@@ -12,7 +12,8 @@ from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
-from cvqmpt_lab.models.weights_folder import RobotSignature, load_part, read_description, write_weights
+from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.weights_folder import load_part, read_description, write_weights
 
 ARCHITECTURE = "vq-mpt"
 SequenceModel = PublishedSequenceModel | CompactSequenceModel

@@ -4,7 +4,6 @@
 file and free metadata. A folder is written beside its place and moved there when complete.
 """
 
-import contextlib
 import hashlib
 import json
 import os
@@ -20,46 +19,10 @@ from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.robot_signature import RobotSignature
 
 FORMAT = "cvqmpt-model-1"
 CONFIG_FILE = "config.json"
-LIMIT_TOLERANCE = 1e-4
-"""Joint limits that differ by less are the same robot's [rad or m]."""
-
-
-@dataclass(frozen=True)
-class RobotSignature:
-    """The robot that weights belong to: its name and joint limits [rad or m], by which joints are scaled."""
-
-    name: str
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-
-    def require_same(self, other: "RobotSignature") -> None:
-        """Compare with the robot at hand.
-
-        Raises
-        ------
-        InvalidInputError
-            Naming the first difference.
-        """
-        if self.name != other.name:
-            raise InvalidInputError(
-                f"weights are for robot {self.name!r}, not {other.name!r}; choose weights trained for it"
-            )
-        if len(self.lower) != len(other.lower):
-            raise InvalidInputError(
-                f"weights are for {len(self.lower)} joints of {self.name!r}, not {len(other.lower)}"
-            )
-        for side in ("lower", "upper"):
-            for joint, (ours, theirs) in enumerate(
-                zip(getattr(self, side), getattr(other, side), strict=True)
-            ):
-                if abs(ours - theirs) > LIMIT_TOLERANCE:
-                    raise InvalidInputError(
-                        f"weights are for a {self.name!r} whose {side} limit of joint {joint} is {ours:g}, "
-                        f"not {theirs:g}; use that robot description"
-                    )
 
 
 @dataclass(frozen=True)
@@ -107,7 +70,7 @@ def write_weights(
             "format": FORMAT,
             "architecture": architecture,
             "model": dict(model),
-            "robot": {"name": robot.name, "lower": list(robot.lower), "upper": list(robot.upper)},
+            "robot": robot.to_json(),
             "sha256": hashes,
             "metadata": dict(metadata),
         }
@@ -167,17 +130,10 @@ def read_description(folder: Path, architecture: str, robot: RobotSignature | No
     for name in ("model", "robot", "sha256", "metadata"):
         if not isinstance(data.get(name), dict):
             raise InvalidInputError(f"{path}: {name} is {data.get(name)!r}; it must be an object")
-    signature = _signature(data["robot"], path)
+    signature = RobotSignature.from_json(data["robot"], f"{path}: robot")
     if robot is not None:
         signature.require_same(robot)
     return Description(architecture, data["model"], signature, data["metadata"], data["sha256"])
-
-
-def _signature(data: Mapping[str, Any], path: Path) -> RobotSignature:
-    with contextlib.suppress(KeyError, TypeError, ValueError):
-        lower, upper = (tuple(float(limit) for limit in data[side]) for side in ("lower", "upper"))
-        return RobotSignature(str(data["name"]), lower, upper)
-    raise InvalidInputError(f"{path}: robot must have a name and lists lower and upper")
 
 
 def load_part(folder: Path, description: Description, name: str, module: nn.Module) -> None:

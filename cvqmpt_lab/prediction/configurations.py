@@ -8,7 +8,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.robot.robot import Robot
 
 CHAIN_TOLERANCE = 1e-4
@@ -16,8 +16,9 @@ CHAIN_TOLERANCE = 1e-4
 
 
 def robot_signature(robot: Robot) -> RobotSignature:
-    """What weights are compared with: the robot's name and limits [rad or m]."""
-    return RobotSignature(robot.name, tuple(robot.lower.tolist()), tuple(robot.upper.tolist()))
+    """What weights are compared with."""
+    limits = tuple(robot.lower.tolist()), tuple(robot.upper.tolist())
+    return RobotSignature(robot.name, *limits, tuple(robot.joint_names), robot.kinematics_digest)
 
 
 class ModelConfigurations:

@@ -2,7 +2,8 @@
 
 The format, as ``cvqmpt data generate`` writes it::
 
-    dataset.json     schema 1, robot, lower, upper [rad], families, kinematics (see link_positions), provenance
+    dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families, kinematics (see
+                     link_positions), provenance
     shards.csv       shard, sha256, scenes, paths; lines are only ever appended
     shards/NNNNNN.npz
         family (s,) uint8, scene_seed (s,) int64
@@ -32,7 +33,8 @@ from typing import Any, Literal
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models.weights_folder import RobotSignature, read_json_object
+from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.weights_folder import read_json_object
 from cvqmpt_lab.training.link_positions import SerialChain
 
 SCHEMA = 1
@@ -220,7 +222,15 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
         raise InvalidInputError(
             f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"
         )
-    robot, families = _robot(description, path), _families(description, path)
+    robot = RobotSignature.from_json(
+        {
+            **description,
+            "name": description.get("robot"),
+            "kinematics": description.get("kinematics_digest", ""),
+        },
+        str(path),
+    )
+    families = _families(description, path)
     kinematics = description.get("kinematics")
     chain = (
         None
@@ -249,17 +259,6 @@ def _read(path: Path) -> bytes:
         raise InvalidInputError(
             f"cannot read {path}: {error.strerror}; fetch or generate it again"
         ) from error
-
-
-def _robot(description: Mapping[str, Any], path: Path) -> RobotSignature:
-    try:
-        lower, upper = (tuple(float(x) for x in description[side]) for side in ("lower", "upper"))
-        robot = RobotSignature(str(description["robot"]), lower, upper)
-    except (KeyError, TypeError, ValueError):
-        raise InvalidInputError(f"{path} must have robot and lists of numbers lower and upper") from None
-    if len(lower) != len(upper) or not lower or not all(a < b for a, b in zip(lower, upper, strict=True)):
-        raise InvalidInputError(f"{path}: lower {lower} and upper {upper} are no joint limits")
-    return robot
 
 
 def _families(description: Mapping[str, Any], path: Path) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from cvqmpt_lab.methods.mpnet_planner import MPNetPlanner, MPNetSettings
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.models.mpnet.inference import MPNetInference
 from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus

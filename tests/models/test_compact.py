@@ -19,7 +19,7 @@ from cvqmpt_lab.models.config import (
 )
 from cvqmpt_lab.models.decoding.beam_search import beam_search, sample_sequences
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.training.losses import binary_loss, refinement_loss, sequence_loss
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24, dropout=0.1)

@@ -12,7 +12,7 @@ from cvqmpt_lab.models.mpnet.network import (
     load_mpnet,
     save_mpnet,
 )
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 
 SMALL = MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 12, 8))
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)

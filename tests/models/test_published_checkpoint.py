@@ -11,7 +11,7 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import build_sequence_model, load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.published.checkpoint_import import import_published
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 

@@ -9,7 +9,7 @@ from small_models import METADATA, published_config, random_checkpoint, small_co
 from training_data import LOWER, UPPER, kinematics
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.prediction.predictor import GOAL_STD, Predictor, PredictorSettings

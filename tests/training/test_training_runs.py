@@ -19,7 +19,7 @@ from cvqmpt_lab.models.compact.inference import CompactInference
 from cvqmpt_lab.models.config import PointCloudConfig, SetAbstractionConfig, TransformerConfig
 from cvqmpt_lab.models.decoding.beam_search import beam_search
 from cvqmpt_lab.models.mpnet.network import load_mpnet
-from cvqmpt_lab.models.weights_folder import RobotSignature
+from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.training import run_folder
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions

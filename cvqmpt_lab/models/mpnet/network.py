@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
-from cvqmpt_lab.models.weights_folder import RobotSignature, load_part, read_description, write_weights
+from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.weights_folder import load_part, read_description, write_weights
 
 ARCHITECTURE = "mpnet"
 

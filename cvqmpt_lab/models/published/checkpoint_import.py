@@ -22,7 +22,8 @@ from cvqmpt_lab.models.config import (
 )
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
-from cvqmpt_lab.models.weights_folder import RobotSignature, load_tensors, read_json_object
+from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.weights_folder import load_tensors, read_json_object
 
 WEIGHTS_FILE = "best_model.pkl"
 CODE_DIM = 8
