@@ -1,68 +1,240 @@
-"""Frozen dataclasses of plain values to json and back, every wrong field named."""
+"""Frozen dataclasses to json and back, by the annotations of their fields: written once, they read, write and check.
 
+Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses, and `Annotated[T, form]`,
+whose form says how a T stands in json (see `forms`). A field "_comment" may stand in every object and is ignored.
+"""
+
+import contextlib
 import dataclasses
+import json
+import math
 import types
 import typing
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+import numpy as np
+
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest, shown
+from cvqmpt_lab.files import read_json_object, write_text
+
+COMMENT = "_comment"
+LINE = 110  # characters of json that still go on one line
+SCALARS: Mapping[Any, type] = {float: Real, int: Integral, str: str, bool: bool}
+UNIONS = (types.UnionType, typing.Union)  # understood with None only
 
 
-def to_plain(value: Any) -> dict[str, Any]:
-    """A dataclass as dictionaries, lists, numbers and strings, as json would give them back."""
-    return _plain(dataclasses.asdict(value))
+class Form(Protocol):
+    """How a value stands in json."""
+
+    def read(self, value: Any, where: str) -> Any:
+        """Make the value from json, or check one that is made; errors begin with `where`."""
+
+    def write(self, value: Any) -> Any:
+        """Json that `read` makes the value of."""
+
+    def schema(self, of: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """What json schema says of it; `of` gives what it says of a type."""
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, tuple) else value
+def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
+    """Make a value of type `kind` from json; one that is made already is checked.
 
-
-def from_plain(kind: Any, value: Any, where: str) -> Any:
-    """Make a dataclass, tuple, number, string or choice of type `kind` from json.
+    complete: fields with a default must be given too.
 
     Raises
     ------
     InvalidInputError, UnknownChoiceError
         Naming, after `where`, the field that is unknown, missing or of the wrong type.
     """
-    if isinstance(kind, types.UnionType):
-        options = [option for option in typing.get_args(kind) if option is not type(None)]
-        return None if value is None else from_plain(options[0], value, where)
-    if typing.get_origin(kind) is Literal:
-        if value not in typing.get_args(kind):
-            raise UnknownChoiceError(where, value, typing.get_args(kind))
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        return parts[1].read(value, where)
+    if origin in UNIONS:
+        return None if value is None else from_plain(parts[0], value, where, complete)
+    if origin is Literal:
+        if value not in parts:
+            raise UnknownChoiceError(where, value, parts)
         return value
-    if typing.get_origin(kind) is tuple:
-        return _tuple(typing.get_args(kind), value, where)
+    if origin is tuple:
+        kinds = enumerate(_tuple_kinds(parts, value, where))
+        return tuple(from_plain(part, value[k], f"{where}[{k}]", complete) for k, part in kinds)
+    if origin is Mapping:
+        return dict(mapping(value, where))
     if dataclasses.is_dataclass(kind):
-        return _dataclass(kind, value, where)
-    accepted = (int, float) if kind is float else (kind,)
-    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-        raise InvalidInputError(f"{where} is {value!r}; it must be {kind.__name__}")
-    if kind is int and value < 0:
-        raise InvalidInputError(f"{where} is {value}; it cannot be negative")
-    return kind(value)
+        return value if isinstance(value, kind) else _dataclass(kind, value, where, complete)  # type: ignore[arg-type]
+    return _scalar(kind, value, where)
 
 
-def _tuple(parts: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
-    """Make a tuple of fixed length, or of any length when `parts` is (kind, ...)."""
-    if not isinstance(value, list):
-        raise InvalidInputError(f"{where} is {value!r}; it must be a list")
+def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
+    """Json of a value of type `kind` (its own); fields that have their default are left out unless complete."""
+    kind = type(value) if kind is None else kind
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if value is None:
+        return None
+    if origin is Annotated:
+        return parts[1].write(value)
+    if origin in UNIONS:
+        return to_plain(value, parts[0], complete)
+    if origin is tuple:
+        kinds = _tuple_kinds(parts, value, "")
+        return [to_plain(item, part, complete) for part, item in zip(kinds, value, strict=True)]
+    if dataclasses.is_dataclass(value):
+        kind = type(value)
+        defaults = {} if complete else field_defaults(kind)
+        fields = {name: (getattr(value, name), part) for name, part in field_kinds(kind).items()}
+        return {
+            name: to_plain(part, kind, complete)
+            for name, (part, kind) in fields.items()
+            if name not in defaults or _content(part) != _content(defaults[name])
+        }
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+class Checked:
+    """Base of frozen dataclasses (eq=False) that check their fields when made, and are equal by content."""
+
+    def __post_init__(self) -> None:
+        name = getattr(self, "name", None)
+        where = type(self).__name__ + (f" {shown(name)}: " if isinstance(name, str) else "")
+        for field, kind in _kinds_of(self).items():
+            object.__setattr__(self, field, from_plain(kind, getattr(self, field), at(where, field)))
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash(self._content())
+
+    def _content(self) -> Any:
+        return _content([getattr(self, field) for field in _kinds_of(self)])
+
+
+def load(kind: Any, path: Path | str, what: str) -> Any:
+    """Read a value from a json file; errors name the file and the field."""
+    data = read_json_object(Path(path), what)
+    with located(f"{path}"):
+        return from_plain(kind, data)
+
+
+def save(plain: Any, path: Path | str) -> None:
+    """Write json for people, whole or not at all."""
+    write_text(Path(path), to_text(plain) + "\n")
+
+
+def to_text(plain: Any, indent: int = 0) -> str:
+    """Json text: rows of numbers, and whatever else fits, on one line."""
+    flat = json.dumps(plain, allow_nan=False)
+    inside = list(plain.values()) if isinstance(plain, dict) else plain
+    deep = isinstance(inside, list) and (
+        isinstance(plain, dict) or any(isinstance(x, list | dict) for x in inside)
+    )
+    if not deep or len(flat) + indent <= LINE:
+        return flat
+    heads = [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(inside)
+    lines = [head + to_text(item, indent + 1) for head, item in zip(heads, inside, strict=True)]
+    brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
+    return brackets[0] + pad + f",{pad}".join(lines) + pad[:-1] + brackets[1]
+
+
+@contextlib.contextmanager
+def located(where: str) -> Iterator[None]:
+    """Put `where` in front of the message of an error raised inside."""
+    try:
+        yield
+    except CvqmptError as error:
+        if not where:
+            raise
+        kind = type(error) if isinstance(error, InvalidInputError) else InvalidInputError
+        raise kind(f"{where}: {error}") from error
+
+
+def at(where: str, field: str) -> str:
+    """Where a field of an object stands."""
+    return f"{where}{'' if where.endswith(' ') or not where else '.'}{field}"
+
+
+def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
+    """Return a json object; refuse anything else, naming its fields."""
+    if not isinstance(value, Mapping):
+        must = f"an object with {fields}" if fields else "an object"
+        raise InvalidInputError(f"{where or 'this'} is {shown(value)}; it must be {must}")
+    return value
+
+
+@cache
+def field_kinds(kind: Any) -> dict[str, Any]:
+    """The annotation of each field of a dataclass."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
+
+
+@cache
+def field_defaults(kind: Any) -> dict[str, Any]:
+    """The default of each field of a dataclass that has one."""
+    given = {field.name: (field.default, field.default_factory) for field in dataclasses.fields(kind)}
+    missing = dataclasses.MISSING
+    return {
+        name: default if make is missing else make()
+        for name, (default, make) in given.items()
+        if default is not missing or make is not missing
+    }
+
+
+def _kinds_of(value: Any) -> dict[str, Any]:
+    kind: Any = type(value)
+    return field_kinds(kind)
+
+
+def _dataclass(kind: Any, value: Any, where: str, complete: bool) -> Any:
+    kinds = field_kinds(kind)
+    listed, optional = ", ".join(kinds), {} if complete else field_defaults(kind)
+    for name in mapping(value, where, listed):
+        if name not in kinds and name != COMMENT:
+            raise InvalidInputError(
+                f"{at(where, shown(name)[1:-1])} is unknown{nearest(name, kinds)}; fields: {listed}"
+            )
+    for name in kinds:
+        if name not in value and name not in optional:
+            raise InvalidInputError(f"{at(where, name)} is missing; fields: {listed}")
+    parts = {
+        name: from_plain(part, value[name], at(where, name), complete)
+        for name, part in kinds.items()
+        if name in value
+    }
+    with located(where):
+        return kind(**parts)
+
+
+def _tuple_kinds(parts: tuple[Any, ...], value: Any, where: str) -> list[Any]:
+    """The types of the items of a tuple of fixed length, or of any when `parts` is (kind, ...)."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        raise InvalidInputError(f"{where} is {shown(value)}; it must be a list")
     kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else list(parts)
     if len(kinds) != len(value):
-        raise InvalidInputError(f"{where} is {value!r}; it must be a list of {len(kinds)}")
-    return tuple(from_plain(kind, part, where) for kind, part in zip(kinds, value, strict=True))
+        raise InvalidInputError(f"{where} is {shown(value)}; it must be a list of {len(kinds)}")
+    return kinds
 
 
-def _dataclass(kind: Any, value: Any, where: str) -> Any:
-    hints = typing.get_type_hints(kind)
-    if not isinstance(value, Mapping):
-        raise InvalidInputError(f"{where} is {value!r}; it must be an object with {', '.join(hints)}")
-    for name in (*value, *hints):
-        if name not in hints or name not in value:
-            state = "unknown" if name not in hints else "missing"
-            raise InvalidInputError(f"{where}.{name} is {state}; fields: {', '.join(hints)}")
-    return kind(**{name: from_plain(hints[name], value[name], f"{where}.{name}") for name in hints})
+def _scalar(kind: Any, value: Any, where: str) -> Any:
+    if isinstance(value, SCALARS[kind]) and isinstance(value, bool) == (kind is bool):
+        with contextlib.suppress(OverflowError):
+            made = kind(value)
+            if kind is int and made < 0:
+                raise InvalidInputError(f"{where} is {shown(value)}; it cannot be negative")
+            if kind is not float or math.isfinite(made):
+                return made + 0.0 if kind is float else made  # + 0.0 turns -0.0 into 0.0: one form per value
+    must = "a finite float" if kind is float else kind.__name__
+    raise InvalidInputError(f"{where} is {shown(value)}; it must be {must}")
+
+
+def _content(value: Any) -> Any:
+    """What equality and hash look at."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    if isinstance(value, Mapping):
+        return tuple((name, _content(part)) for name, part in value.items())
+    return tuple(map(_content, value)) if isinstance(value, tuple | list) else value

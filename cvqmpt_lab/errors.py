@@ -4,7 +4,27 @@ Failing to plan is a result (`PlanStatus`), never an exception. The command line
 `CvqmptError` into that one line on standard error and exit code 2.
 """
 
+import difflib
+import reprlib
 from collections.abc import Iterable
+
+LISTED = 60  # choices that a message lists; of more it shows the nearest
+LONGEST = 120  # characters of a value that a message shows
+
+
+def shown(value: object) -> str:
+    """A value for a message: one short line, whatever it is."""
+    short = reprlib.Repr()
+    short.maxlist = short.maxtuple = short.maxdict = 8
+    short.maxstring = short.maxlong = short.maxother = 80
+    text = " ".join(short.repr(value).split())
+    return text if len(text) <= LONGEST else text[:LONGEST] + "..."
+
+
+def nearest(value: object, choices: Iterable[object]) -> str:
+    """The choice that was perhaps meant, as "; did you mean 'x'?", or nothing."""
+    found = difflib.get_close_matches(str(value)[:LONGEST], [str(choice) for choice in choices], 1)
+    return f"; did you mean {found[0]!r}?" if found else ""
 
 
 class CvqmptError(Exception):
@@ -15,8 +35,9 @@ class UnknownChoiceError(CvqmptError):
     """A name that is not in a table of choices."""
 
     def __init__(self, kind: str, value: object, choices: Iterable[object]) -> None:
-        listed = ", ".join(str(choice) for choice in choices)
-        super().__init__(f"unknown {kind} {value!r}; valid choices: {listed}")
+        names = [str(choice) for choice in choices]
+        listed = ", ".join(names[:LISTED]) + (f", ... ({len(names)} in all)" if len(names) > LISTED else "")
+        super().__init__(f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}")
 
 
 class InvalidInputError(CvqmptError):

@@ -210,7 +210,7 @@ class ModelConfig:
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
-        return to_plain(self)
+        return to_plain(self, complete=True)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -221,4 +221,4 @@ class ModelConfig:
         InvalidInputError
             Naming the field that is unknown, missing or of the wrong type.
         """
-        return from_plain(cls, data, "model")
+        return from_plain(cls, data, "model", complete=True)

@@ -70,12 +70,12 @@ class Profile:
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
-        return to_plain(self)
+        return to_plain(self, complete=True)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Build what `to_json` wrote; raises InvalidInputError naming the field that is wrong."""
-        profile = from_plain(cls, data, "profile")
+        profile = from_plain(cls, data, "profile", complete=True)
         for name, clouds in (
             ("stage2", profile.stage2.batches.cloud),
             ("mpnet", profile.mpnet.batches.cloud),

@@ -135,13 +135,13 @@ def save_mpnet(folder: Path, checkpoint: MPNetCheckpoint) -> None:
     """Write a folder, as `checkpoint.save_checkpoint` does."""
     network = checkpoint.network
     parts = {"mpnet": network}
-    model = to_plain(network.config)
+    model = to_plain(network.config, complete=True)
     write_weights(folder, ARCHITECTURE, model, checkpoint.robot, checkpoint.metadata, parts)
 
 
 def load_mpnet(folder: Path, robot: RobotSignature | None = None) -> MPNetCheckpoint:
     """Read what `save_mpnet` wrote; errors as in `checkpoint.load_checkpoint`."""
     description = read_description(folder, ARCHITECTURE, robot)
-    network = MPNet(from_plain(MPNetConfig, description.model, "model"))
+    network = MPNet(from_plain(MPNetConfig, description.model, "model", complete=True))
     load_part(folder, description, "mpnet", network)
     return MPNetCheckpoint(description.robot, network.eval(), dict(description.metadata))

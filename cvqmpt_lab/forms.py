@@ -1,0 +1,141 @@
+"""How names, lengths, arrays and unions stand in json."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from cvqmpt_lab.codec import at, from_plain, mapping, to_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+Schema: TypeAlias = Callable[[Any], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Such:
+    """A plain value with one more condition."""
+
+    kind: Any
+    holds: Callable[[Any], bool]
+    must: str
+    """The condition, after "it must be"."""
+    keywords: Mapping[str, Any]
+    """The condition as json schema."""
+
+    def read(self, value: Any, where: str) -> Any:
+        """Refuse a value without the condition."""
+        value = from_plain(self.kind, value, where)
+        if not self.holds(value):
+            raise InvalidInputError(f"{where} is {shown(value)}; it must be {self.must}")
+        return value
+
+    def write(self, value: Any) -> Any:
+        """The value itself."""
+        return to_plain(value, self.kind)
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """That of the plain value, and the condition."""
+        return of(self.kind) | dict(self.keywords)
+
+
+@dataclass(frozen=True)
+class Array:
+    """Finite numbers of a shape, a read-only array when made."""
+
+    shape: tuple[int | None, ...]
+    """None for any length."""
+    what: str = "numbers"
+    """What they are, with the unit."""
+
+    def read(self, value: Any, where: str) -> FloatArray:
+        """Refuse another shape, NaN and infinity."""
+        array = numbers(value, where, self.what)
+        if len(array.shape) != len(self.shape) or any(
+            wanted not in (None, n) for wanted, n in zip(self.shape, array.shape, strict=True)
+        ):
+            raise InvalidInputError(f"{where} has shape {array.shape}; it must be {self}")
+        if not np.isfinite(array).all():
+            index = ", ".join(str(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise InvalidInputError(f"{where}[{index}] is NaN or infinite; it must be finite")
+        array.setflags(write=False)
+        return array
+
+    def write(self, value: FloatArray) -> list:
+        """Nested lists."""
+        return value.tolist()
+
+    def __str__(self) -> str:
+        return f"({', '.join('any' if n is None else str(n) for n in self.shape)}) {self.what}"
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """Nested arrays of numbers."""
+        inner: dict[str, Any] = {"type": "number"}
+        for n in reversed(self.shape):
+            inner = {"type": "array", "items": inner} | ({} if n is None else {"minItems": n, "maxItems": n})
+        return inner | {"description": self.what}
+
+
+@dataclass(frozen=True)
+class Tagged:
+    """One of several dataclasses, told apart by a name that stands beside their fields."""
+
+    key: str
+    choices: Mapping[str, type]
+
+    def read(self, value: Any, where: str) -> Any:
+        """Make the dataclass that the name chooses."""
+        if type(value) in self.choices.values():
+            return value
+        fields = dict(
+            mapping(value, where, f"{self.key!r}, one of {', '.join(self.choices)}, and its fields")
+        )
+        if self.key not in fields:
+            raise InvalidInputError(f"{at(where, self.key)} is missing; one of {', '.join(self.choices)}")
+        name = fields.pop(self.key)
+        if not isinstance(name, str) or name not in self.choices:
+            raise UnknownChoiceError(at(where, self.key), name, self.choices)
+        return from_plain(self.choices[name], fields, where)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """Its name, then its fields."""
+        name = next(name for name, kind in self.choices.items() if type(value) is kind)
+        return {self.key: name, **to_plain(value)}
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """One object for each choice."""
+        choices = []
+        for name, kind in self.choices.items():
+            plain = of(kind)
+            properties = {self.key: {"const": name}, **plain["properties"]}
+            choices.append({**plain, "properties": properties, "required": [self.key, *plain["required"]]})
+        return {"oneOf": choices}
+
+
+def _is_name(text: str) -> bool:
+    return 0 < len(text) <= 200 and text.isprintable()
+
+
+def _is_positive(length: float) -> bool:
+    return length > 0.0
+
+
+Name = Annotated[
+    str, Such(str, _is_name, "1 to 200 printable characters", {"minLength": 1, "maxLength": 200})
+]
+Length = Annotated[float, Such(float, _is_positive, "a positive length [m]", {"exclusiveMinimum": 0})]
+
+
+def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
+    """Return a float copy of an array or of nested lists of numbers; refuse text, booleans and ragged lists."""
+    try:
+        if not isinstance(value, np.ndarray):
+            entries = np.array(value, dtype=object).ravel()
+            if any(isinstance(x, bool) or not isinstance(x, Real) for x in entries):
+                raise TypeError
+        return np.array(value, dtype=float) + 0.0  # + 0.0 turns -0.0 into 0.0: one form per value
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidInputError(f"{where} is {shown(value)}; it must be {what}") from error

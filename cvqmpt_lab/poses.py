@@ -1,0 +1,86 @@
+"""Rigid poses: 4x4 arrays `T_a_b` that map points of frame b into frame a; lengths in [m], angles in [rad]."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.forms import Array, FloatArray, Schema
+
+ORTHONORMAL = 1e-6  # how far the columns of a rotation matrix may be from orthonormal
+MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
+
+
+def pose(xyz: Iterable[float], yaw: float = 0.0) -> FloatArray:
+    """Return the (4, 4) pose at position `xyz` [m], turned by `yaw` [rad] about the vertical."""
+    T = np.eye(4)
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    T[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    T[:3, 3] = tuple(xyz)
+    return T
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A pose as people write it: a position, and angles or a quaternion."""
+
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Position [m]."""
+    rpy: tuple[float, float, float] | None = None
+    """Roll, pitch, yaw [rad]: turned about the fixed axes x, y, z in this order, as in a URDF."""
+    quaternion: tuple[float, float, float, float] | None = None
+    """x, y, z, w, of length 1."""
+
+    def __post_init__(self) -> None:
+        if self.rpy is not None and self.quaternion is not None:
+            raise InvalidInputError("give 'rpy' or 'quaternion', one of the two")
+        if self.quaternion is not None and abs(math.hypot(*self.quaternion) - 1.0) > 1e-3:
+            raise InvalidInputError(
+                f"quaternion [x, y, z, w] has length {math.hypot(*self.quaternion):.4g}; it must be 1"
+            )
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The same as a (4, 4) array."""
+        T = pose(self.xyz)
+        if self.rpy is not None:
+            T[:3, :3] = Rotation.from_euler("xyz", self.rpy).as_matrix()
+        if self.quaternion is not None:
+            T[:3, :3] = Rotation.from_quat(self.quaternion).as_matrix()
+        return T
+
+
+class PoseForm:
+    """A matrix, or a position with angles or a quaternion."""
+
+    def read(self, value: Any, where: str) -> FloatArray:
+        """A read-only rigid pose (4, 4)."""
+        if isinstance(value, Mapping):
+            value = from_plain(Placement, value, where).matrix
+        T = MATRIX.read(value, where)
+        rotation = T[:3, :3]
+        if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
+            fault = f"last row is {T[3].tolist()}, not 0 0 0 1"
+        elif not np.allclose(rotation @ rotation.T, np.eye(3), atol=ORTHONORMAL):
+            fault = "rotation part is not orthonormal"
+        elif np.linalg.det(rotation) < 0.0:
+            fault = "rotation part is mirrored"
+        else:
+            return T
+        raise InvalidInputError(f"{where} is no rigid pose: its {fault}")
+
+    def write(self, value: FloatArray) -> Any:
+        """Only the position where nothing is turned; otherwise the matrix, which alone is exact."""
+        return {"xyz": value[:3, 3].tolist()} if np.array_equal(value[:3, :3], np.eye(3)) else value.tolist()
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """Either."""
+        return {"oneOf": [of(Placement), MATRIX.schema(of)]}
+
+
+Pose = Annotated[FloatArray, PoseForm()]

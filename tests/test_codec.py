@@ -1,0 +1,206 @@
+"""The codec: what it makes of json, and the one line that says which field is wrong."""
+
+import json
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.codec import Checked, from_plain, load, save, to_plain, to_text
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.forms import Array, Length, Name, Tagged
+from cvqmpt_lab.poses import Pose, pose
+
+
+@dataclass(frozen=True, eq=False)
+class Ball(Checked):
+    radius: Length
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh(Checked):
+    points: Annotated[np.ndarray, Array((None, 3), "points x, y, z [m]")]
+
+
+@dataclass(frozen=True, eq=False)
+class Thing(Checked):
+    name: Name
+    shape: Annotated[Ball | Mesh, Tagged("type", {"ball": Ball, "mesh": Mesh})]
+    place: Pose = field(default_factory=lambda: np.eye(4))
+    colour: Literal["red", "blue"] = "red"
+    mass: float | None = None
+    count: int = 1
+    solid: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Heap(Checked):
+    things: tuple[Thing, ...]
+
+
+BALL = {"name": "a", "shape": {"type": "ball", "radius": 0.1}}
+
+
+def refused(data, kind=Heap):
+    with pytest.raises(CvqmptError) as caught:
+        from_plain(kind, data)
+    message = str(caught.value)
+    assert "\n" not in message and "\x1b" not in message and len(message) < 600
+    return message
+
+
+def test_everything_survives_a_round_trip_through_a_file(tmp_path):
+    tilted = pose((0.1, -0.2, 1.0 / 3.0), 0.7)
+    heap = Heap(
+        (
+            Thing("a", Ball(0.1), tilted, "blue", 2.5, 3, False),
+            Thing("b", Mesh(np.array([[0.1, 0.2, 1.0 / 3.0]]))),
+        )
+    )
+    save(to_plain(heap), tmp_path / "heap.json")
+    again = load(Heap, tmp_path / "heap.json", "heap")
+    assert again == heap and hash(again) == hash(heap)
+    np.testing.assert_array_equal(again.things[0].place, tilted)
+    assert [path.name for path in tmp_path.iterdir()] == ["heap.json"]
+
+
+def test_defaults_are_left_out_and_may_be_missing_unless_all_is_asked_for():
+    thing = from_plain(Thing, BALL)
+    assert to_plain(thing) == BALL
+    complete = to_plain(thing, complete=True)
+    assert complete["mass"] is None and complete["count"] == 1
+    with pytest.raises(InvalidInputError, match="place is missing; fields: name, shape, place"):
+        from_plain(Thing, BALL, complete=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"nmae": "a"}, "things[0].nmae is unknown; did you mean 'name'?; fields: name, shape"),
+        ({"name": ""}, "things[0].name is ''; it must be 1 to 200 printable characters"),
+        ({"name": "a\nb"}, "things[0].name is 'a\\nb'; it must be"),
+        ({"name": "a\x1b[31mb"}, "things[0].name is 'a\\x1b[31mb'; it must be"),
+        ({"name": 5}, "things[0].name is 5; it must be str"),
+        ({"name": "x" * 400_000}, "things[0].name is 'xxxx"),
+        ({"mass": "2"}, "things[0].mass is '2'; it must be a finite float"),
+        ({"mass": True}, "things[0].mass is True; it must be a finite float"),
+        ({"mass": 10**400}, "things[0].mass is 1000"),
+        ({"mass": float("nan")}, "things[0].mass is nan; it must be a finite float"),
+        ({"count": 1.5}, "things[0].count is 1.5; it must be int"),
+        ({"count": -1}, "things[0].count is -1; it cannot be negative"),
+        ({"solid": 1}, "things[0].solid is 1; it must be bool"),
+        ({"colour": "rde"}, "unknown things[0].colour 'rde'; valid choices: red, blue; did you mean 'red'?"),
+        ({"colour": []}, "unknown things[0].colour []; valid choices: red, blue"),
+        ({"shape": []}, "things[0].shape is []; it must be an object with 'type', one of ball, mesh"),
+        ({"shape": {"radius": 1.0}}, "things[0].shape.type is missing; one of ball, mesh"),
+        ({"shape": {"type": []}}, "unknown things[0].shape.type []; valid choices: ball, mesh"),
+        (
+            {"shape": {"type": "bell"}},
+            "unknown things[0].shape.type 'bell'; valid choices: ball, mesh; did you",
+        ),
+        ({"shape": {"type": "ball"}}, "things[0].shape.radius is missing; fields: radius"),
+        (
+            {"shape": {"type": "ball", "radius": 0}},
+            "things[0].shape.radius is 0.0; it must be a positive length",
+        ),
+        (
+            {"shape": {"type": "mesh", "points": [[1, 2, "3"]]}},
+            "things[0].shape.points is [[1, 2, '3']]; it must",
+        ),
+        ({"shape": {"type": "mesh", "points": [[1, 2, True]]}}, "things[0].shape.points is [[1, 2, True]]"),
+        ({"shape": {"type": "mesh", "points": [[1, 2, 10**400]]}}, "things[0].shape.points is [[1, 2, 1000"),
+        ({"shape": {"type": "mesh", "points": [[1, 2], [3]]}}, "things[0].shape.points is [[1, 2], [3]]; it"),
+        ({"shape": {"type": "mesh", "points": [[1, 2]]}}, "shape (1, 2); it must be (any, 3) points x, y, z"),
+        (
+            {"shape": {"type": "mesh", "points": [[1, 2, np.inf]]}},
+            "things[0].shape.points[0, 2] is NaN or inf",
+        ),
+        ({"place": [1]}, "things[0].place has shape (1,); it must be (4, 4)"),
+        (
+            {"place": "here"},
+            "things[0].place is 'here'; it must be numbers, or {xyz, rpy} or {xyz, quaternion}",
+        ),
+        ({"place": {"xyz": [1, 2]}}, "things[0].place.xyz is [1, 2]; it must be a list of 3"),
+        ({"place": {"xzy": [1, 2, 3]}}, "things[0].place.xzy is unknown; did you mean 'xyz'?"),
+        (
+            {"place": {"quaternion": [0, 0, 0, 2]}},
+            "things[0].place: quaternion [x, y, z, w] has length 2; it",
+        ),
+        (
+            {"place": {"rpy": [0] * 3, "quaternion": [0, 0, 0, 1]}},
+            "things[0].place: give 'rpy' or 'quaternion'",
+        ),
+    ],
+)
+def test_the_wrong_field_is_named_by_its_path(change, message):
+    assert message in refused({"things": [BALL | change]})
+
+
+@pytest.mark.parametrize(
+    ("matrix", "fault"),
+    [
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "rotation part is mirrored"),
+        (np.diag([1.0, 1.0, 1.0, 5.0]), "last row is [0.0, 0.0, 0.0, 5.0], not 0 0 0 1"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "rotation part is not orthonormal"),
+        ([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 1]], "last row is [1.0, 0.0, 0.0, 1.0]"),
+    ],
+    ids=["mirrored", "bottom row 5", "scaled", "sheared"],
+)
+def test_only_rigid_poses_are_poses(matrix, fault):
+    data = np.asarray(matrix).tolist()
+    assert refused({"things": [BALL | {"place": data}]}).startswith(
+        f"things[0].place is no rigid pose: its {fault}"
+    )
+    with pytest.raises(InvalidInputError, match="Thing 'a': place is no rigid pose"):
+        Thing("a", Ball(0.1), np.array(matrix))
+
+
+def test_poses_are_written_by_people_in_three_ways():
+    turned = pose((1.0, 2.0, 3.0), np.pi / 2)
+    for data in (
+        turned.tolist(),
+        {"xyz": [1, 2, 3], "rpy": [0, 0, np.pi / 2]},
+        {"xyz": [1, 2, 3], "quaternion": [0, 0, np.sqrt(0.5), np.sqrt(0.5)]},
+    ):
+        np.testing.assert_allclose(from_plain(Thing, BALL | {"place": data}).place, turned, atol=1e-15)
+    rolled = from_plain(Thing, BALL | {"place": {"rpy": [np.pi / 2, 0.0, np.pi / 2]}}).place
+    np.testing.assert_allclose(
+        rolled[:3, :3] @ (0, 1, 0), (0, 0, 1), atol=1e-15
+    )  # roll first, about the fixed x
+    assert to_plain(from_plain(Thing, BALL | {"place": {"xyz": [1, 2, 3]}}))["place"] == {
+        "xyz": [1.0, 2.0, 3.0]
+    }
+
+
+def test_a_comment_may_stand_in_every_object():
+    data = {"_comment": ["two", "lines"], "things": [BALL | {"_comment": "what it is for"}]}
+    assert from_plain(Heap, data) == Heap((Thing("a", Ball(0.1)),))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"things": [], "things": []}', "'things' occurs twice"),
+        ('{"things": NaN}', "heap.json: things is nan; it must be a list"),
+        ('{"things": ' + "[" * 100_000, "heap.json is not json"),
+        ('{"things": ' + "1" * 5000 + "}", "heap.json is not json"),
+        ("[]", "heap.json must hold one json object"),
+        ('{"things": 5}', "heap.json: things is 5; it must be a list"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named_in_one_line(tmp_path, text, message):
+    path = tmp_path / "heap.json"
+    path.write_text(text)
+    with pytest.raises(InvalidInputError) as caught:
+        load(Heap, path, "heap")
+    assert message in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_rows_of_numbers_stay_on_one_line():
+    text = to_text({"start": [1.0 / 3.0] * 9, "goals": [[2.0 / 3.0] * 9] * 2, "shape": {"type": "ball"}})
+    assert json.loads(text)["goals"] == [[2.0 / 3.0] * 9] * 2
+    assert [line.split("[")[0].strip() for line in text.splitlines()] == [
+        *("{", '"start":', '"goals":', "", "", "],"),
+        *('"shape": {"type": "ball"}', "}"),
+    ]
