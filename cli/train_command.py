@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.weights_folder import read_json_object
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.training.loop import Tick
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named

@@ -55,6 +55,14 @@ def make_folder(path: Path) -> Path:
     return Path(path)
 
 
+def require_regular_file(path: Path, what: str = "file") -> Path:
+    """Refuse what is there and no file, such as a pipe, which a reader would wait for; InvalidInputError names it."""
+    path = Path(path)
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InvalidInputError(f"cannot read {what} {path}: it is not a regular file")
+    return path
+
+
 def read_bytes(path: Path, what: str = "file") -> bytes:
     """Read a file; InvalidInputError, which calls it `what`, names a path that cannot be read."""
     try:

@@ -1,21 +1,22 @@
-"""A trained VQ-MPT model on disk: the dictionary, and the sequence model once there is one."""
+"""Trained models on disk: VQ-MPT (the dictionary, and the sequence model once there is one) and MPNet."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 from torch import nn
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
 from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.weights_folder import load_part, read_description, write_weights
+from cvqmpt_lab.models.weights_folder import CONFIG_FILE, load_part, read_description, write_weights
 
-ARCHITECTURE = "vq-mpt"
 SequenceModel = PublishedSequenceModel | CompactSequenceModel
 _SEQUENCE_MODELS: dict[str, type[PublishedSequenceModel] | type[CompactSequenceModel]] = {
     "published": PublishedSequenceModel,
@@ -30,16 +31,20 @@ def build_sequence_model(config: ModelConfig) -> SequenceModel:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A model and what it belongs to; `sequence_model` is None after stage 1 alone."""
+    """A VQ-MPT model and what it belongs to."""
+
+    architecture: ClassVar[str] = "vq-mpt"
 
     config: ModelConfig
     robot: RobotSignature
     dictionary: Dictionary
     sequence_model: SequenceModel | None = None
+    """None after stage 1 alone."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Json values: how it was trained."""
 
     def __post_init__(self) -> None:
-        if len(self.robot.lower) != self.config.joint_dim or len(self.robot.upper) != self.config.joint_dim:
+        if len(self.robot.lower) != self.config.joint_dim:
             raise InvalidInputError(
                 f"robot {self.robot.name!r} has limits of {len(self.robot.lower)} joints, "
                 f"the model {self.config.joint_dim} joints"
@@ -54,20 +59,48 @@ class Checkpoint:
         return parts
 
 
-def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
+class Trained(Protocol):
+    """What `save_checkpoint` writes."""
+
+    architecture: ClassVar[str]
+
+    @property
+    def config(self) -> Any:
+        """Sizes, a dataclass."""
+
+    @property
+    def robot(self) -> RobotSignature:
+        """Whose weights these are."""
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """Json values."""
+
+    @property
+    def parts(self) -> Mapping[str, nn.Module]:
+        """Modules by the name of their weights file."""
+
+
+def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
     """Write a checkpoint, replacing an earlier one in `folder` at once or not at all.
 
     Raises
     ------
     InvalidInputError
-        When the disk refuses; nothing is left behind.
+        When weights are not finite or the disk refuses; nothing is left behind.
     """
-    model = checkpoint.config.to_json()
-    write_weights(folder, ARCHITECTURE, model, checkpoint.robot, checkpoint.metadata, checkpoint.parts)
+    write_weights(
+        folder,
+        checkpoint.architecture,
+        to_plain(checkpoint.config, complete=True),
+        checkpoint.robot,
+        checkpoint.metadata,
+        checkpoint.parts,
+    )
 
 
 def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
-    """Read a checkpoint, its modules in evaluation mode on the CPU.
+    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU.
 
     Parameters
     ----------
@@ -80,14 +113,30 @@ def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkp
     ------
     InvalidInputError
         Naming the file that is missing or damaged (sha256), the field of ``config.json`` or the tensor
-        that does not fit, or the difference between the robots.
+        that does not fit.
+    OtherRobotError
+        Naming the differences between the robots.
     """
-    description = read_description(folder, ARCHITECTURE, robot)
-    config = ModelConfig.from_json(description.model)
-    dictionary = Dictionary(config)
-    load_part(folder, description, "dictionary", dictionary)
+    description = read_description(folder, Checkpoint.architecture, robot)
+    config = from_plain(ModelConfig, description.model, "model", complete=True)
+    dictionary = load_part(folder, description, "dictionary", lambda: Dictionary(config))
     sequence_model = None
     if "sequence_model" in description.sha256:
-        sequence_model = build_sequence_model(config).eval()
-        load_part(folder, description, "sequence_model", sequence_model)
-    return Checkpoint(config, description.robot, dictionary.eval(), sequence_model, description.metadata)
+        sequence_model = load_part(
+            folder, description, "sequence_model", lambda: build_sequence_model(config)
+        )
+    return Checkpoint(config, description.robot, dictionary, sequence_model, description.metadata)
+
+
+_LOADERS: dict[str, Callable[[Path, RobotSignature | None], Trained]] = {
+    Checkpoint.architecture: load_checkpoint,
+    MPNetCheckpoint.architecture: load_mpnet,
+}
+
+
+def load_any(folder: Path) -> Trained:
+    """Read a checkpoint of whatever architecture its folder names; errors as in `load_checkpoint`."""
+    architecture = read_description(folder).architecture
+    if architecture not in _LOADERS:
+        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", architecture, _LOADERS)
+    return _LOADERS[architecture](folder, None)

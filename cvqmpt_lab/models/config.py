@@ -1,141 +1,171 @@
-"""Sizes and options of a model, as frozen data that goes to json and back.
+"""Sizes and options of a model, as frozen data that `codec` takes to json and back.
 
 Defaults are the paper's; `ModelConfig.compact` is the smaller model with every departure switched on,
 each of which is one named field that can be switched off again.
 """
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
-from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
+
+LARGEST = 1 << 16
+"""Of any size; a larger one is a slip of the pen."""
+MOST_LAYERS = 64
+
+
+def require_sizes(**sizes: int | tuple[int, ...] | None) -> None:
+    """Raise InvalidInputError naming a size that is given and not from 1 to `LARGEST`."""
+    for name, given in sizes.items():
+        for size in given if isinstance(given, tuple) else (given,):
+            if size is not None and not 1 <= size <= LARGEST:
+                raise InvalidInputError(f"{name} is {size:.4g}; give 1 to {LARGEST}")
+
+
+def require_probability(name: str, value: float) -> None:
+    """Raise InvalidInputError for a share of units to drop that is not in [0, 1)."""
+    if not 0.0 <= value < 1.0:
+        raise InvalidInputError(f"{name} is {value}; give 0 or more, and less than 1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransformerConfig:
-    """Sizes of a stack of attention layers; `d_k` and `d_v` are per head."""
+    """Sizes of a stack of attention layers."""
 
     n_layers: int = 3
     n_heads: int = 3
     d_k: int = 512
+    """Width of queries and keys, per head."""
     d_v: int = 256
+    """Width of values, per head."""
     d_model: int = 512
     d_inner: int = 1024
+    """Width between the two layers of a feed-forward block."""
     dropout: float = 0.1
+
+    def __post_init__(self) -> None:
+        sizes = {name: getattr(self, name) for name in ("n_heads", "d_k", "d_v", "d_model", "d_inner")}
+        require_sizes(**sizes)
+        require_probability("dropout", self.dropout)
+        if not 1 <= self.n_layers <= MOST_LAYERS:
+            raise InvalidInputError(f"n_layers is {self.n_layers:.4g}; give 1 to {MOST_LAYERS}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DictionaryConfig:
-    """Stage 1: waypoint -> code -> Gaussian.
-
-    Attributes
-    ----------
-    encoder: ``transformer`` over the whole trajectory (published) or ``mlp`` on each waypoint alone,
-        which uses only `d_model` and `d_inner` of `transformer`.
-    n_position: longest trajectory the transformer's position table covers [waypoints].
-    n_codes, code_dim: size of the dictionary.
-    commitment: beta of the quantization loss.
-    data_initialised: codes start at encoded waypoints and unused ones are restarted from data
-        (`quantizer.Quantizer.restart_codes`); without it they are learnt by gradient alone.
-    """
+    """Stage 1: waypoint -> code -> Gaussian."""
 
     encoder: Literal["transformer", "mlp"] = "transformer"
+    """Over the whole trajectory (published), or ``mlp`` on each waypoint alone, which uses only `d_model` and
+    `d_inner` of `transformer`."""
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
     n_position: int = 1000
+    """Longest trajectory the transformer's position table covers [waypoints]."""
     n_codes: int = 2048
     code_dim: int = 8
     decoder_dropout: float = 0.5
     commitment: float = 0.25
+    """Beta of the quantization loss."""
     data_initialised: bool = False
+    """Codes start at encoded waypoints and unused ones are restarted from data (`Quantizer.restart_codes`);
+    without it they are learnt by gradient alone."""
+
+    def __post_init__(self) -> None:
+        sizes = {name: getattr(self, name) for name in ("n_position", "n_codes", "code_dim")}
+        require_sizes(**sizes)
+        require_probability("decoder_dropout", self.decoder_dropout)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetAbstractionConfig:
-    """One PointNet++ level: centres, their neighbourhoods and the perceptron over each.
-
-    Attributes
-    ----------
-    ratio, count: keep this share of the points, or this many (fewer when there are fewer); one is None.
-    radius: of the ball around a centre [m].
-    max_neighbours: points used of each ball.
-    widths: outputs of the perceptron's two layers.
-    """
+    """One PointNet++ level: centres, their neighbourhoods and the perceptron over each."""
 
     ratio: float | None = None
+    """Share of the points kept as centres; None when `count` is given."""
     count: int | None = None
+    """Centres, or all points when there are fewer; None when `ratio` is given."""
     radius: float
+    """Of the ball around a centre [m]."""
     max_neighbours: int = 64
+    """Points used of each ball."""
     widths: tuple[int, int]
+    """Outputs of the perceptron's two layers."""
 
     def __post_init__(self) -> None:
         if (self.ratio is None) == (self.count is None):
             raise InvalidInputError(f"set abstraction: give ratio or count, not {self.ratio}, {self.count}")
+        require_sizes(count=self.count, max_neighbours=self.max_neighbours, widths=self.widths)
+        if not 0.0 < self.radius < math.inf or not 0.0 < (self.ratio or 1.0) <= 1.0:
+            raise InvalidInputError(
+                f"set abstraction: radius {self.radius} m and ratio {self.ratio}; "
+                "give a positive radius and a ratio of at most 1"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointCloudConfig:
-    """Two levels of set abstraction; the second one's centres are the scene tokens.
-
-    max_points: larger clouds are thinned to every so-many-th point (compact only); None for all.
-    """
+    """Two levels of set abstraction; the second one's centres are the scene tokens."""
 
     max_points: int | None = None
-
+    """Larger clouds are thinned to every so-many-th point (compact only); None for all."""
     sa1: SetAbstractionConfig = SetAbstractionConfig(ratio=0.75, radius=0.2, widths=(64, 128))
     sa2: SetAbstractionConfig = SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, 512))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceConfig:
-    """Stage 2: scene, start and goal -> sequence of codes.
-
-    Attributes
-    ----------
-    context: cross attention of start and goal to the scene; None in the compact model, whose layers
-        attend to the scene themselves.
-    transformer: the model of the sequence.
-    max_length: tokens predicted at most, the goal token included.
-    start_goal_codes: start and goal enter also by their codes in the dictionary (compact only).
-    refinement: a Gaussian of its own for every predicted step (compact only).
-    collision_head, connectivity_head: P(configuration free), P(straight motion free) (compact only).
-    head_level: scene tokens those two heads attend to: the few of the second level or the many of the
-        first.
-    """
+    """Stage 2: scene, start and goal -> sequence of codes."""
 
     context: TransformerConfig | None = field(default_factory=TransformerConfig)
+    """Cross attention of start and goal to the scene; None in the compact model, whose layers attend to the
+    scene themselves."""
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
+    """The model of the sequence."""
     max_length: int = 50
+    """Tokens predicted at most, the goal token included."""
     start_goal_codes: bool = False
+    """Start and goal enter also by their codes in the dictionary (compact only)."""
     refinement: bool = False
+    """A Gaussian of its own for every predicted step (compact only)."""
     collision_head: bool = False
+    """P(configuration free) (compact only)."""
     connectivity_head: bool = False
+    """P(straight motion free) (compact only)."""
     head_level: Literal["coarse", "fine"] = "fine"
+    """Scene tokens those two heads attend to: the few of the second level or the many of the first."""
+
+    def __post_init__(self) -> None:
+        require_sizes(max_length=self.max_length)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelConfig:
-    """Everything needed to build a VQ-MPT model.
-
-    Attributes
-    ----------
-    kind: ``published``, the architecture of the published checkpoints, or ``compact``.
-    joint_dim: joints of the robot.
-    feature_dim: numbers that describe a configuration beside its joints, such as link positions by
-        forward kinematics, flattened [m]; 0 for none (compact only).
-    """
+    """Everything needed to build a VQ-MPT model."""
 
     kind: Literal["published", "compact"] = "published"
+    """The architecture of the published checkpoints, or the smaller one."""
     joint_dim: int = 7
     feature_dim: int = 0
+    """Numbers that describe a configuration beside its joints, such as link positions by forward kinematics,
+    flattened [m]; 0 for none (compact only)."""
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
     point_cloud: PointCloudConfig = field(default_factory=PointCloudConfig)
     sequence: SequenceConfig = field(default_factory=SequenceConfig)
 
     def __post_init__(self) -> None:
-        sizes = (self.joint_dim, self.dictionary.n_codes, self.dictionary.code_dim)
-        if min(sizes) < 1:
-            raise InvalidInputError(f"joint_dim, n_codes and code_dim must be at least 1, not {sizes}")
+        require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
+        if self.kind == "published":
+            self._require_published()
+        elif self.sequence.context is not None:
+            raise InvalidInputError("kind 'compact' has no sequence.context; set it to null")
+        elif self.sequence.transformer.d_k != self.sequence.transformer.d_v:
+            raise InvalidInputError(
+                "kind 'compact' has d_v equal to d_k in sequence.transformer, not "
+                f"{self.sequence.transformer.d_v} and {self.sequence.transformer.d_k}"
+            )
+
+    def _require_published(self) -> None:
         sequence, width = self.sequence, self.sequence.transformer.d_model
         departures = {
             "feature_dim": self.feature_dim > 0,
@@ -148,20 +178,12 @@ class ModelConfig:
             "point_cloud.max_points": self.point_cloud.max_points is not None,
             "null sequence.context": sequence.context is None,
         }
-        if self.kind == "published":
-            named = [name for name, departs in departures.items() if departs]
-            if named:
-                raise InvalidInputError(f"kind 'published' has no {named[0]}; use kind 'compact'")
-            widths = (self.dictionary.transformer.d_model, self.point_cloud.sa2.widths[1])
-            if sequence.context is None or {*widths, sequence.context.d_model} != {width}:
-                raise InvalidInputError(f"kind 'published' has one latent width: {width} is not {widths}")
-        elif sequence.context is not None:
-            raise InvalidInputError("kind 'compact' has no sequence.context; set it to null")
-        elif sequence.transformer.d_k != sequence.transformer.d_v:
-            raise InvalidInputError(
-                f"kind 'compact' has d_v equal to d_k in sequence.transformer, not {sequence.transformer.d_v} "
-                f"and {sequence.transformer.d_k}"
-            )
+        for name, departs in departures.items():
+            if departs:
+                raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
+        widths = (self.dictionary.transformer.d_model, self.point_cloud.sa2.widths[1])
+        if sequence.context is None or {*widths, sequence.context.d_model} != {width}:
+            raise InvalidInputError(f"kind 'published' has one latent width: {width} is not {widths}")
 
     @property
     def configuration_dim(self) -> int:
@@ -172,11 +194,6 @@ class ModelConfig:
     def goal_class(self) -> int:
         """Class of the token that ends a sequence; the one before it is the start token's."""
         return self.dictionary.n_codes + 1
-
-    @classmethod
-    def published(cls, joint_dim: int = 7) -> Self:
-        """Architecture and sizes of the paper."""
-        return cls(kind="published", joint_dim=joint_dim)
 
     @classmethod
     def compact(cls, joint_dim: int = 7, feature_dim: int = 0, n_codes: int = 1024) -> Self:
@@ -207,18 +224,3 @@ class ModelConfig:
                 connectivity_head=feature_dim > 0,
             ),
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
-        return to_plain(self, complete=True)
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Build what `to_json` wrote.
-
-        Raises
-        ------
-        InvalidInputError
-            Naming the field that is unknown, missing or of the wrong type.
-        """
-        return from_plain(cls, data, "model", complete=True)

@@ -1,9 +1,6 @@
 """Which robot weights were trained for: what is kept beside them, and compared with the robot at hand."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass
 
 from cvqmpt_lab.errors import InvalidInputError
 
@@ -38,6 +35,16 @@ class RobotSignature:
     """(n,) names; empty where an earlier version did not record them."""
     kinematics: str = ""
     """`Robot.kinematics_digest`; likewise."""
+
+    def __post_init__(self) -> None:
+        if (
+            not self.lower
+            or len(self.lower) != len(self.upper)
+            or not all(map(float.__lt__, self.lower, self.upper))
+        ):
+            raise InvalidInputError(f"lower {self.lower} and upper {self.upper} are no joint limits")
+        if self.joints and len(self.joints) != len(self.lower):
+            raise InvalidInputError(f"{len(self.joints)} names of joints, but {len(self.lower)} limits")
 
     def require_same(self, other: "RobotSignature") -> None:
         """Compare with the robot at hand.
@@ -75,39 +82,3 @@ class RobotSignature:
         if self.kinematics == other.kinematics:
             return []
         return [f"joints placed otherwise (kinematics {self.kinematics[:8]}, not {other.kinematics[:8]})"]
-
-    def to_json(self) -> dict[str, Any]:
-        """What `from_json` reads."""
-        return {name: list(part) if isinstance(part, tuple) else part for name, part in asdict(self).items()}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any], where: str) -> Self:
-        """Read what `to_json` wrote, or an earlier version, which knew no joints' names and no digest.
-
-        Raises
-        ------
-        InvalidInputError
-            Naming, after `where`, what is wrong.
-        """
-        name, joints, kinematics = data.get("name"), data.get("joints", []), data.get("kinematics", "")
-        lower, upper = (_numbers(data.get(side)) for side in ("lower", "upper"))
-        if not isinstance(name, str) or not isinstance(kinematics, str) or lower is None or upper is None:
-            raise InvalidInputError(f"{where} must have a name and lists of numbers lower and upper")
-        if len(lower) != len(upper) or not lower or not all(a < b for a, b in zip(lower, upper, strict=True)):
-            raise InvalidInputError(f"{where}: lower {lower} and upper {upper} are no joint limits")
-        if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
-            raise InvalidInputError(f"{where}: joints is {joints!r}; it must be a list of names")
-        if joints and len(joints) != len(lower):
-            raise InvalidInputError(f"{where}: {len(joints)} names of joints, but {len(lower)} limits")
-        return cls(name, lower, upper, tuple(joints), kinematics)
-
-
-def _numbers(values: object) -> tuple[float, ...] | None:
-    """A list of finite numbers, or None when it is no such thing."""
-    if not isinstance(values, list) or any(isinstance(v, bool | str) for v in values):
-        return None
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return numbers if all(map(math.isfinite, numbers)) else None

@@ -8,41 +8,43 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import safetensors.torch
-import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file, write_bytes
 from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.tensors import filled, require_finite
 
 FORMAT = "cvqmpt-model-1"
 CONFIG_FILE = "config.json"
+TRAINED_FOLDER = "model"
+"""Where in its folder a training leaves its best weights."""
+
+Part = TypeVar("Part", bound=nn.Module)
 
 
 @dataclass(frozen=True)
 class Description:
-    """What ``config.json`` says beside its format.
-
-    Attributes
-    ----------
-    architecture: which loader reads the folder.
-    model: sizes and options, as that architecture's configuration writes them.
-    robot: whose weights these are.
-    metadata: anything, as json values.
-    sha256: of each part's file, by part.
-    """
+    """What ``config.json`` says beside its format."""
 
     architecture: str
+    """Which loader reads the folder."""
     model: Mapping[str, Any]
+    """Sizes and options, as that architecture's configuration writes them."""
     robot: RobotSignature
+    """Whose weights these are."""
     metadata: Mapping[str, Any]
+    """Anything, as json values."""
     sha256: Mapping[str, str]
+    """Of each part's file, by part."""
 
 
 def write_weights(
@@ -58,7 +60,7 @@ def write_weights(
     Raises
     ------
     InvalidInputError
-        When the disk refuses; nothing is left behind.
+        For weights that are not finite, or when the disk refuses; nothing is left behind.
     """
     folder = Path(folder)
     beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
@@ -70,11 +72,11 @@ def write_weights(
             "format": FORMAT,
             "architecture": architecture,
             "model": dict(model),
-            "robot": robot.to_json(),
+            "robot": to_plain(robot),
             "sha256": hashes,
             "metadata": dict(metadata),
         }
-        _write_durably(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
+        write_bytes(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
         _move_into_place(beside, folder)
     except OSError as error:
         raise InvalidInputError(
@@ -87,16 +89,10 @@ def write_weights(
 def _write_part(folder: Path, name: str, module: nn.Module) -> str:
     """Write one part's tensors and return the sha256 of the file."""
     tensors = {key: tensor.detach().cpu().contiguous() for key, tensor in module.state_dict().items()}
+    require_finite(tensors, name)
     data = safetensors.torch.save(tensors)
-    _write_durably(folder / f"{name}.safetensors", data)
+    write_bytes(folder / f"{name}.safetensors", data)
     return hashlib.sha256(data).hexdigest()
-
-
-def _write_durably(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _move_into_place(source: Path, target: Path) -> None:
@@ -113,31 +109,44 @@ def _move_into_place(source: Path, target: Path) -> None:
     shutil.rmtree(aside, ignore_errors=True)
 
 
-def read_description(folder: Path, architecture: str, robot: RobotSignature | None = None) -> Description:
+def checkpoint_folder(folder: Path) -> Path | None:
+    """A folder of weights: this one, or the ``model`` that a training left in it; None when it is neither."""
+    for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):
+        if (candidate / CONFIG_FILE).is_file():
+            return candidate
+    return None
+
+
+def read_description(
+    folder: Path, architecture: str | None = None, robot: RobotSignature | None = None
+) -> Description:
     """Read ``config.json``.
 
     Raises
     ------
     InvalidInputError
-        When it is missing or malformed, describes another architecture, or names another robot than
-        `robot`, if given.
+        When it is missing or malformed, or describes another architecture than `architecture`, if given.
+    OtherRobotError
+        When the weights belong to another robot than `robot`, if given.
     """
     path = Path(folder) / CONFIG_FILE
-    data = read_json_object(path)
+    data = read_json_object(require_regular_file(path, "weights"), "weights")
     for name, expected in (("format", FORMAT), ("architecture", architecture)):
-        if data.get(name) != expected:
+        if expected is not None and data.get(name) != expected:
             raise InvalidInputError(f"{path}: {name} is {data.get(name)!r}; expected {expected!r}")
     for name in ("model", "robot", "sha256", "metadata"):
         if not isinstance(data.get(name), dict):
             raise InvalidInputError(f"{path}: {name} is {data.get(name)!r}; it must be an object")
-    signature = RobotSignature.from_json(data["robot"], f"{path}: robot")
+    signature = from_plain(RobotSignature, data["robot"], f"{path}: robot")
     if robot is not None:
         signature.require_same(robot)
-    return Description(architecture, data["model"], signature, data["metadata"], data["sha256"])
+    return Description(
+        str(data.get("architecture")), data["model"], signature, data["metadata"], data["sha256"]
+    )
 
 
-def load_part(folder: Path, description: Description, name: str, module: nn.Module) -> None:
-    """Fill a module, made for `description`, with the weights of its part.
+def load_part(folder: Path, description: Description, name: str, build: Callable[[], Part]) -> Part:
+    """Make a module and fill it with the weights of its part, in evaluation mode.
 
     Raises
     ------
@@ -149,40 +158,11 @@ def load_part(folder: Path, description: Description, name: str, module: nn.Modu
     if expected is None:
         listed = ", ".join(description.sha256) or "nothing"
         raise InvalidInputError(f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}")
-    load_tensors(module, _read_weights(path, expected), str(path))
-
-
-def checkpoint_sha256(folder: Path) -> str:
-    """One hash for a whole checkpoint: of ``config.json``, which holds those of the weights."""
-    return hashlib.sha256(_read_bytes(Path(folder) / CONFIG_FILE)).hexdigest()
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError(f"cannot read weights {path}: {error.strerror}") from error
-
-
-def read_json_object(path: Path) -> dict[str, Any]:
-    """Read one json object from a file.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the file that is missing or not a json object.
-    """
-    try:
-        data = json.loads(_read_bytes(path))
-    except ValueError as error:
-        raise InvalidInputError(f"{path} is not json: {error}") from error
-    if not isinstance(data, dict):
-        raise InvalidInputError(f"{path} must hold one json object")
-    return data
+    return filled(build, _read_weights(path, expected), str(path))
 
 
 def _read_weights(path: Path, expected: str) -> dict[str, Tensor]:
-    data = _read_bytes(path)
+    data = read_bytes(require_regular_file(path, "weights"), "weights")
     found = hashlib.sha256(data).hexdigest()
     if found != expected:
         raise InvalidInputError(
@@ -194,26 +174,6 @@ def _read_weights(path: Path, expected: str) -> dict[str, Tensor]:
         raise InvalidInputError(f"{path} is not a safetensors file: {error}") from error
 
 
-def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
-    """Copy tensors into a module of exactly their names and shapes.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming, after `where`, every tensor that is missing, left over, of another shape or not finite.
-    """
-    expected = module.state_dict()
-    faults = [f"{name} is missing" for name in expected if name not in tensors]
-    for name, tensor in tensors.items():
-        if name not in expected:
-            faults.append(f"{name} {tuple(tensor.shape)} is left over")
-        elif tensor.shape != expected[name].shape:
-            faults.append(f"{name} is {tuple(tensor.shape)}, expected {tuple(expected[name].shape)}")
-        elif tensor.is_floating_point() != expected[name].is_floating_point():
-            faults.append(f"{name} is {tensor.dtype}, expected {expected[name].dtype}")
-        elif not torch.isfinite(tensor).all():
-            faults.append(f"{name} has NaN or infinite values")
-    if faults:
-        more = f" and {len(faults) - 5} more" if len(faults) > 5 else ""
-        raise InvalidInputError(f"{where} does not fit its configuration: {'; '.join(faults[:5])}{more}")
-    module.load_state_dict(dict(tensors))
+def checkpoint_sha256(folder: Path) -> str:
+    """One hash for a whole checkpoint: of ``config.json``, which holds those of the weights."""
+    return hashlib.sha256(read_bytes(Path(folder) / CONFIG_FILE, "weights")).hexdigest()

@@ -32,9 +32,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.weights_folder import read_json_object
 from cvqmpt_lab.training.link_positions import SerialChain
 
 SCHEMA = 1
@@ -217,19 +218,20 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
             f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first"
         )
     path = folder / DESCRIPTION_FILE
-    description = read_json_object(path)
+    description = read_json_object(require_regular_file(path))
     if description.get("schema") != SCHEMA:
         raise InvalidInputError(
             f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"
         )
-    robot = RobotSignature.from_json(
-        {
-            **description,
-            "name": description.get("robot"),
-            "kinematics": description.get("kinematics_digest", ""),
-        },
-        str(path),
-    )
+    known = {
+        "robot": "name",
+        "lower": "lower",
+        "upper": "upper",
+        "joints": "joints",
+        "kinematics_digest": "kinematics",
+    }
+    described = {ours: description[theirs] for theirs, ours in known.items() if theirs in description}
+    robot = from_plain(RobotSignature, described, f"{path}: ")
     families = _families(description, path)
     kinematics = description.get("kinematics")
     chain = (
@@ -237,28 +239,19 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
         if kinematics is None
         else SerialChain.from_json(kinematics, len(robot.lower), f"{path}: kinematics")
     )
-    index = _read(folder / INDEX_FILE)
+    index = read_bytes(folder / INDEX_FILE)
     shards = []
     for row in _index_rows(folder / INDEX_FILE, index):
         name = f"{int(row['shard']):06d}.npz" if row["shard"].isdigit() else row["shard"]
-        data = _read(folder / SHARDS_FOLDER / name)
+        data = read_bytes(folder / SHARDS_FOLDER / name)
         if verify and hashlib.sha256(data).hexdigest() != row["sha256"]:
             raise InvalidInputError(
                 f"{folder / SHARDS_FOLDER / name} is damaged (sha256); fetch or generate it again"
             )
         shards.append(_shard(folder / SHARDS_FOLDER / name, data, row, len(robot.lower), len(families)))
-    digest = hashlib.sha256(_read(path) + index).hexdigest()
+    digest = hashlib.sha256(read_bytes(path) + index).hexdigest()
     scenes, paths = _joined(shards)
     return PathDataset(folder, robot, families, chain, digest, scenes, paths)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError(
-            f"cannot read {path}: {error.strerror}; fetch or generate it again"
-        ) from error
 
 
 def _families(description: Mapping[str, Any], path: Path) -> tuple[str, ...]:

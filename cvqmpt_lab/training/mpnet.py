@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig, save_mpnet
+from cvqmpt_lab.models.checkpoint import save_checkpoint
+from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
 from cvqmpt_lab.training.augmentation import Augmentation
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.loop import Batch, OptimizerSettings
@@ -93,7 +94,7 @@ class MPNetStage:
 
     def save(self, folder: Path, metadata: Mapping[str, Any]) -> None:
         """Write the network as a checkpoint."""
-        save_mpnet(folder, MPNetCheckpoint(self.dataset.robot, self.network, dict(metadata)))
+        save_checkpoint(folder, MPNetCheckpoint(self.dataset.robot, self.network, dict(metadata)))
 
     def _squared_error(self, batch: Batch, cloud: Tensor, *, stochastic: bool) -> Tensor:
         states, counts = 2.0 * batch["u"] - 1.0, batch["counts"]

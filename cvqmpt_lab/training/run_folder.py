@@ -8,12 +8,10 @@
     model/              checkpoint of the epoch with the best validation
 """
 
-import contextlib
 import csv
 import importlib.util
 import io
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,13 +23,14 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.weights_folder import load_tensors, read_json_object
+from cvqmpt_lab.files import read_json_object, require_regular_file, write_bytes
+from cvqmpt_lab.models.tensors import load_tensors
+from cvqmpt_lab.models.weights_folder import TRAINED_FOLDER
 
 SETTINGS_FILE = "training.json"
 STATE_FILE = "state.safetensors"
 CURVES_FILE = "curves.csv"
 PICTURE_FILE = "curves.png"
-MODEL_FOLDER = "model"
 
 
 @dataclass
@@ -68,7 +67,7 @@ class RunFolder:
         self.path = Path(folder)
         self.settings = json.loads(json.dumps(settings))
         if (self.path / SETTINGS_FILE).is_file():
-            self._require_equal(read_json_object(self.path / SETTINGS_FILE))
+            self._require_equal(read_json_object(require_regular_file(self.path / SETTINGS_FILE)))
             return
         try:
             if self.path.exists() and any(self.path.iterdir()):
@@ -80,7 +79,7 @@ class RunFolder:
             raise InvalidInputError(
                 f"cannot use {self.path}: {error.strerror}; choose another --out"
             ) from error
-        write_atomic(self.path / SETTINGS_FILE, (json.dumps(self.settings, indent=2) + "\n").encode())
+        write_bytes(self.path / SETTINGS_FILE, (json.dumps(self.settings, indent=2) + "\n").encode())
 
     def _require_equal(self, earlier: Mapping[str, Any]) -> None:
         difference = _first_difference(earlier, self.settings, "")
@@ -92,7 +91,7 @@ class RunFolder:
     @property
     def model(self) -> Path:
         """Where the best checkpoint goes."""
-        return self.path / MODEL_FOLDER
+        return self.path / TRAINED_FOLDER
 
     def save_state(self, progress: Progress, module: nn.Module, optimizer: torch.optim.Optimizer) -> None:
         """Write everything needed to continue."""
@@ -100,7 +99,7 @@ class RunFolder:
         for index, state in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer/{index}/{name}": _plain(value) for name, value in state.items()}
         header = {"progress": json.dumps(vars(progress))}
-        write_atomic(self.path / STATE_FILE, safetensors.torch.save(tensors, header))
+        write_bytes(self.path / STATE_FILE, safetensors.torch.save(tensors, header))
 
     def load_state(self, module: nn.Module, optimizer: torch.optim.Optimizer) -> Progress | None:
         """Fill module and optimizer from the last state; None when there is none yet.
@@ -138,32 +137,9 @@ class RunFolder:
         )
         writer.writeheader()
         writer.writerows(rows)
-        write_atomic(self.path / CURVES_FILE, buffer.getvalue().encode())
+        write_bytes(self.path / CURVES_FILE, buffer.getvalue().encode())
         if importlib.util.find_spec("matplotlib") is not None:
-            write_atomic(self.path / PICTURE_FILE, _picture(rows, panels))
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Replace a file at once or not at all.
-
-    Raises
-    ------
-    InvalidInputError
-        When the disk refuses; the earlier file stays.
-    """
-    beside = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    try:
-        with beside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            beside.unlink()
-        raise InvalidInputError(
-            f"cannot write {path}: {error.strerror}; free some space, then the same command continues"
-        ) from error
+            write_bytes(self.path / PICTURE_FILE, _picture(rows, panels))
 
 
 def _plain(value: Any) -> Tensor:

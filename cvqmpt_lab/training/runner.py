@@ -9,12 +9,12 @@ import torch
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.weights_folder import CONFIG_FILE, checkpoint_sha256
+from cvqmpt_lab.models.weights_folder import checkpoint_folder, checkpoint_sha256
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.loop import Limits, Outcome, Stage, Tick, train
 from cvqmpt_lab.training.mpnet import MPNetStage
 from cvqmpt_lab.training.profiles import Profile
-from cvqmpt_lab.training.run_folder import MODEL_FOLDER, RunFolder
+from cvqmpt_lab.training.run_folder import RunFolder
 from cvqmpt_lab.training.stage1 import Stage1
 from cvqmpt_lab.training.stage2 import Stage2
 
@@ -94,7 +94,9 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
         "seed": request.seed,
     }
     if request.dictionary is not None:
-        settings["dictionary_sha256"] = checkpoint_sha256(_checkpoint_folder(request.dictionary))
+        settings["dictionary_sha256"] = checkpoint_sha256(
+            checkpoint_folder(request.dictionary) or request.dictionary
+        )
     folder = RunFolder(request.out, settings)
     chain = None if dataset.chain is None else dataset.chain.to_json()
     metadata = {
@@ -121,13 +123,7 @@ def load_dictionary(folder: Path | None) -> Checkpoint:
     """
     if folder is None:
         raise InvalidInputError("stage2 needs the dictionary that stage1 trained; name its folder")
-    return load_checkpoint(_checkpoint_folder(folder))
-
-
-def _checkpoint_folder(folder: Path) -> Path:
-    folder = Path(folder)
-    inner = folder / MODEL_FOLDER
-    return inner if not (folder / CONFIG_FILE).is_file() and (inner / CONFIG_FILE).is_file() else folder
+    return load_checkpoint(checkpoint_folder(folder) or folder)
 
 
 def _device(name: str) -> torch.device:

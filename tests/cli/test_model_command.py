@@ -13,13 +13,16 @@ from small_models import random_checkpoint
 from test_published_checkpoint import STAGE1, published, states  # noqa: F401 (fixtures)
 
 from cli.main import main
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
-from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig, save_mpnet
+from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
+from cvqmpt_lab.models.robot_signature import OtherRobotError
 from cvqmpt_lab.models.weights_folder import checkpoint_sha256
+from cvqmpt_lab.prediction import weights
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
-from cvqmpt_lab.prediction.shipped import load_shipped, load_shipped_mpnet, shipped_model_folder
+from cvqmpt_lab.prediction.weights import WEIGHTS, load_mpnet_for, load_vq_mpt, resolve_model
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -31,47 +34,43 @@ def refused(capsys, *words):
     return captured.err
 
 
-def sections(text):
-    """Configuration and training as printed."""
-    configuration, training = text.split("\nconfiguration\n")[1].split("\ntraining\n")
-    return json.loads(configuration), json.loads(training)
+def info(capsys, *words):
+    """What `model info --json` prints."""
+    assert main(["model", "info", "--json", *map(str, words)]) == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def test_info_tells_what_is_in_a_folder(panda, tmp_path, capsys):
-    checkpoint = random_checkpoint(panda, metadata={"seed": 3, "kinematics": {"points": [1]}})
-    save_checkpoint(tmp_path / "model", checkpoint)
-    assert main(["model", "info", "--model", str(tmp_path / "model")]) == 0
-    text = capsys.readouterr().out
-    assert "architecture  vq-mpt, compact" in text and "robot         panda, joints -2.8973..2.8973, " in text
-    assert checkpoint_sha256(tmp_path / "model") in text
-    listed = json.loads((tmp_path / "model" / "config.json").read_text())["sha256"]
+    metadata = {"seed": 3, "kinematics": {"points": [1]}, "losses": {"validation_nll": -1.25}}
+    checkpoint = random_checkpoint(panda, metadata=metadata)
+    folder = tmp_path / "run" / "model"
+    save_checkpoint(folder, checkpoint)
+    found = info(capsys, "--model", tmp_path / "run")  # a training's folder is as good
+    assert found["architecture"] == "vq-mpt" and found["sha256"] == checkpoint_sha256(folder)
+    assert found["robot"]["joints"] == list(panda.joint_names)
+    assert found["robot"]["kinematics"] == panda.kinematics_digest
+    listed = json.loads((folder / "config.json").read_text())["sha256"]
     for name, module in checkpoint.parts.items():
-        (line,) = [line for line in text.splitlines() if line.startswith(f"{name}.safetensors")]
-        _, size, count, digest = line.split()
-        assert int(size.replace(",", "")) == (tmp_path / "model" / f"{name}.safetensors").stat().st_size
-        assert int(count.replace(",", "")) == sum(p.numel() for p in module.parameters())
-        assert digest == listed[name]
-    configuration, training = sections(text)
-    assert configuration == checkpoint.config.to_json()
-    assert training == {"seed": 3, "kinematics": "..."}
+        part = found["parts"][f"{name}.safetensors"]
+        assert part["bytes"] == (folder / f"{name}.safetensors").stat().st_size
+        assert part["parameters"] == sum(p.numel() for p in module.parameters())
+        assert part["sha256"] == listed[name]
+    assert found["model"] == to_plain(checkpoint.config, complete=True) and found["metadata"] == metadata
+
+    assert main(["model", "info", "--model", str(folder)]) == 0
+    text = capsys.readouterr().out
+    assert len(text.splitlines()) < 30 and found["sha256"] in text
+    for words in ("vq-mpt, compact", "panda, 7 joints", "panda_joint4", "validation_nll", "-1.25", "--json"):
+        assert words in text
 
 
 def test_info_reads_mpnet_too(panda, tmp_path, capsys):
     network = MPNet(MPNetConfig(n_points=16, encoder_widths=(8,), code_dim=4, planner_widths=(8, 8)))
-    save_mpnet(tmp_path, MPNetCheckpoint(robot_signature(panda), network, {"epochs": 1}))
-    assert main(["model", "info", "--model", str(tmp_path)]) == 0
-    text = capsys.readouterr().out
-    assert "architecture  mpnet" in text and "mpnet.safetensors" in text
-    assert sections(text)[0]["n_points"] == 16
-    assert load_shipped_mpnet(panda, linked(tmp_path, "mpnet")).network.config == network.config
-
-
-def linked(folder, name):
-    """A folder of weights as the package has it."""
-    weights = folder.parent / "weights"
-    weights.mkdir()
-    (weights / name).symlink_to(folder)
-    return weights
+    save_checkpoint(tmp_path, MPNetCheckpoint(robot_signature(panda), network, {"epochs": 1}))
+    found = info(capsys, "--model", tmp_path)
+    assert found["architecture"] == "mpnet" and found["model"]["n_points"] == 16
+    assert "mpnet.safetensors" in found["parts"]
+    assert load_mpnet_for(panda, tmp_path).network.config == network.config
 
 
 def test_published_folders_are_converted_and_predict(panda, published, tmp_path, capsys):  # noqa: F811
@@ -83,7 +82,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
     for name in ("encoder_state", "quantizer_state", "decoder_state", "context_state", "ar_model_state"):
         assert f"\n{name} " in text
     assert "epochs: dictionary 7, sequence model 7\nnot used: epoch, n_steps, optimizer" in text
-    assert sections(text)[0]["dictionary"]["n_position"] == STAGE1["n_position"]
+    assert info(capsys, "--model", out)["model"]["dictionary"]["n_position"] == STAGE1["n_position"]
     checkpoint = load_checkpoint(out, robot_signature(panda))
     source = torch.load(ar_dir / "best_model.pkl", weights_only=False)["ar_model_state"]
     for name, tensor in checkpoint.sequence_model.autoregressive.state_dict().items():
@@ -104,7 +103,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
         (["import", "--out", "x"], "import: give --dictionary-dir DIR"),
         (["import", "--dictionary-dir", "x", "--ar-dir", "y"], "import: give --out DIR"),
         (["import", "--dictionary-dir", "x", "--ar-dir", "y", "--out", "z"], "x/model_params.json: No such file"),
-        (["info", "--model", "nowhere"], "nowhere/config.json: No such file"),
+        (["info", "--model", "nowhere"], "no weights in nowhere; give one of vq_mpt, mpnet, or the folder"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_one_line(words, message, tmp_path, monkeypatch, capsys):
@@ -118,22 +117,38 @@ def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
     weights = tmp_path / "model" / "dictionary.safetensors"
     weights.write_bytes(weights.read_bytes()[:-4] + b"\0\0\0\1")
     assert "dictionary.safetensors is damaged" in refused(capsys, "info", "--model", tmp_path / "model")
-    (tmp_path / "model" / "config.json").write_text('{"architecture": "rrt"}')
+    config = tmp_path / "model" / "config.json"
+    config.write_text(config.read_text().replace('"vq-mpt"', '"rrt"'))
     message = refused(capsys, "info", "--model", tmp_path / "model")
     assert "'rrt'; valid choices: vq-mpt, mpnet" in message
 
 
-def test_shipped_weights_are_found_or_missed_kindly(panda, slider_arm, tmp_path):
-    with pytest.raises(InvalidInputError, match=r"no weights of 'vq_mpt' in .*; name the folder of a model"):
-        load_shipped(panda, tmp_path)
+def test_imports_that_fail_leave_nothing(published, states, tmp_path, capsys):  # noqa: F811
+    huge = states["decoder_state"] | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
+    dictionary_dir, ar_dir = published(decoder_state=huge)
+    words = ("import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir, "--out", tmp_path / "ours")
+    assert "mu.0.bias has NaN or infinite values" in refused(capsys, *words)
+    assert {path.name for path in tmp_path.iterdir()} == {"dictionary", "ar"}
+
+
+def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path, monkeypatch):
+    assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
+    assert resolve_model(architecture="mpnet", robot=panda) == resolve_model("mpnet") == WEIGHTS / "mpnet"
     checkpoint = random_checkpoint(panda)
-    save_checkpoint(tmp_path / "vq_mpt", checkpoint)
-    loaded = load_shipped(panda, tmp_path)
-    assert loaded.config == checkpoint.config
-    with pytest.raises(InvalidInputError, match="weights are for robot 'panda'"):
-        load_shipped(slider_arm, tmp_path)
-    with pytest.raises(UnknownChoiceError, match="unknown shipped model 'gnn'; valid choices: vq_mpt, mpnet"):
-        shipped_model_folder("gnn")
+    save_checkpoint(tmp_path / "run" / "model", checkpoint)
+    assert resolve_model(tmp_path / "run") == tmp_path / "run" / "model"
+    assert load_vq_mpt(panda, tmp_path / "run" / "model").config == checkpoint.config
+    with pytest.raises(InvalidInputError, match="architecture is 'vq-mpt'; expected 'mpnet'"):
+        load_mpnet_for(panda, tmp_path / "run")
+    with pytest.raises(OtherRobotError, match=r"weights are for robot 'panda', not .*: 7 joints, not 4"):
+        load_vq_mpt(slider_arm, tmp_path / "run")
+    with pytest.raises(
+        InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder of a model"
+    ):
+        load_vq_mpt(panda, "gnn")
+    monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
+    with pytest.raises(InvalidInputError, match=r"no weights in .*vq_mpt; give one of vq_mpt"):
+        load_vq_mpt(panda)
 
 
 def test_weights_folders_are_part_of_the_package(tmp_path):

@@ -1,6 +1,7 @@
 """Weights on disk: round trips, and every kind of damage named."""
 
 import json
+import os
 
 import pytest
 import torch
@@ -47,7 +48,7 @@ def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    for name in ("_write_durably", "_move_into_place"):
+    for name in ("write_bytes", "_move_into_place"):
         with monkeypatch.context() as patch:
             patch.setattr(weights_folder, name, full)
             with pytest.raises(InvalidInputError, match="No space left"):
@@ -84,13 +85,13 @@ def edit(folder, change):
             r"embedding.weight is \(6, 8\), expected \(9, 8\)",
         ),
         (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is missing"),
-        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "layer_stack.0.*is left over"),
+        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; give 1 to 64"),
         (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
         (lambda d: d.update(format="2"), "format is '2'"),
         (lambda d: d.pop("metadata"), "metadata is None"),
         (lambda d: d["sha256"].clear(), "sha256 lists nothing; it must list dictionary"),
         (lambda d: d.update(architecture="mpnet"), "architecture is 'mpnet'; expected 'vq-mpt'"),
-        (lambda d: d["robot"].pop("lower"), "robot must have a name"),
+        (lambda d: d["robot"].pop("lower"), "robot.lower is missing"),
         (lambda d: d["robot"].update(lower=[0.0], upper=[1.0]), "limits of 1 joints"),
     ],
 )
@@ -106,10 +107,44 @@ def test_config_that_is_not_json(folder):
         load_checkpoint(folder)
 
 
-def test_weights_that_are_not_finite(tmp_path):
+def test_weights_that_are_not_finite_are_not_written(tmp_path):
     dictionary = Dictionary(CONFIG)
     with torch.no_grad():
         dictionary.decoder.mu[0].bias[0] = torch.nan
-    save_checkpoint(tmp_path / "m", Checkpoint(CONFIG, ROBOT, dictionary))
     with pytest.raises(InvalidInputError, match=r"decoder\.mu\.0\.bias has NaN"):
-        load_checkpoint(tmp_path / "m")
+        save_checkpoint(tmp_path / "m", Checkpoint(CONFIG, ROBOT, dictionary))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sizes_without_weights_to_bear_them_out_cost_nothing(folder):
+    """60 000 codes of width 60 000 would be 14 GB."""
+    edit(folder, lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000))
+    with pytest.raises(InvalidInputError, match=r"embedding.weight is \(6, 8\), expected \(60000, 60000\)"):
+        load_checkpoint(folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param('{"a": ' * 100_000, id="nested"),
+        pytest.param('{"a": 1, "a": 2}', id="key twice"),
+        "[]",
+        "",
+    ],
+)
+def test_configs_that_are_no_objects_are_one_line(folder, text):
+    (folder / "config.json").write_text(text)
+    with pytest.raises(InvalidInputError) as caught:
+        load_checkpoint(folder)
+    assert "config.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_pipes_are_not_waited_for(folder):
+    for name in ("config.json", "dictionary.safetensors"):
+        whole = (folder / name).read_bytes()
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        with pytest.raises(InvalidInputError, match=f"{name}: it is not a regular file"):
+            load_checkpoint(folder)
+        (folder / name).unlink()
+        (folder / name).write_bytes(whole)

@@ -4,13 +4,13 @@ import pytest
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.checkpoint import save_checkpoint
 from cvqmpt_lab.models.mpnet.network import (
     MPNet,
     MPNetCheckpoint,
     MPNetConfig,
     draw_points,
     load_mpnet,
-    save_mpnet,
 )
 from cvqmpt_lab.models.robot_signature import RobotSignature
 
@@ -81,7 +81,7 @@ def test_it_trains(network):
 
 
 def test_round_trip(network, tmp_path):
-    save_mpnet(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
+    save_checkpoint(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
     loaded = load_mpnet(tmp_path / "m", ROBOT)
     assert (loaded.network.config, loaded.robot, loaded.metadata) == (SMALL, ROBOT, {"note": "x"})
     ends = queries()

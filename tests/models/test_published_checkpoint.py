@@ -11,6 +11,7 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import build_sequence_model, load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.published.checkpoint_import import import_published
+from cvqmpt_lab.models.published.pickles import read_tensors
 from cvqmpt_lab.models.robot_signature import RobotSignature
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
@@ -109,11 +110,23 @@ SHAPES = {
 }  # fmt: skip
 
 
+def waves(positions, width):
+    """Sines on even, cosines on odd dimensions, base 10000."""
+    table = np.empty((positions, width))
+    for k in range(width):
+        table[:, k] = (np.cos if k % 2 else np.sin)(np.arange(positions) / 10000 ** (2 * (k // 2) / width))
+    return torch.tensor(table, dtype=torch.float32)
+
+
 def random_state(shapes, generator):
     state = {}
     for name, shape in shapes.items():
         if name.endswith("num_batches_tracked"):
             state[name] = torch.tensor(3)
+        elif name.endswith("pos_table"):
+            state[name] = waves(*shape[1:])[None]
+        elif name == "embedding.weight":
+            state[name] = torch.nn.functional.normalize(torch.randn(shape, generator=generator), dim=1)
         elif name == "l_index":
             state[name] = torch.tensor([[r, c] for r in range(7) for c in range(r)]).T.contiguous()
         else:
@@ -175,12 +188,19 @@ def without(state, name):
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("encoder_state", lambda s: without(s, "layer_norm.bias"), "encoder_state.*: layer_norm.bias is missing"),
-        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"quantizer_state.*: ema \(3,\) is left over"),
+        ("encoder_state", lambda s: without(s, "layer_norm.bias"), "encoder.layer_norm.bias is missing"),
+        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"quantizer.ema \(3,\) is left over"),
         ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(6)}, r"mu.0.bias is \(6,\), expected \(7,\)"),
         ("ar_model_state", lambda s: s | {"layer_norm.bias": torch.zeros(512).long()}, "bias is torch.int64"),
         ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
         ("context_state", lambda s: {"a": 1}, "not made of tensors"),
+        ("decoder_state", lambda s: s | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}, "mu.0.bias has NaN or inf"),
+        ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7).to_sparse()}, "mu.0.bias is sparse"),
+        ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7, device="meta")}, "mu.0.bias is .*without data"),
+        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that of this model"),
+        ("encoder_state", lambda s: s | {"position_enc.pos_table": torch.zeros(1, 40, 512)}, "pos_table is not that"),
+        ("quantizer_state", lambda s: s | {"embedding.weight": 2 * s["embedding.weight"]}, "not of unit length"),
+        ("quantizer_state", lambda s: s | {"batch_norm.running_var": -torch.ones(8)}, "negative variances"),
     ],
 )  # fmt: skip
 def test_tensors_that_do_not_fit_are_listed(published, states, name, change, message):
@@ -196,6 +216,9 @@ def test_tensors_that_do_not_fit_are_listed(published, states, name, change, mes
         ({"ar_params": SEQUENCE | {"n_heads": "3"}}, r"ar_params.json: n_heads is '3'"),
         ({"cross_attn": CONTEXT | {"d_context": 6}}, "d_context 6 is not the dictionary's c_space_dim 7"),
         ({"ar_params": SEQUENCE | {"num_keys": 2}}, "num_keys 2 has no codes"),
+        ({"model_params": STAGE1 | {"n_position": 10**12}}, r"n_position is 1e\+12; give 1 to 65536"),
+        ({"model_params": STAGE1 | {"dropout": 1.5}}, "dropout is 1.5; give 0 or more, and less than 1"),
+        ({"cross_attn": CONTEXT | {"n_layers": 10**6}}, r"n_layers is 1e\+06; give 1 to 64"),
         ({"ar_params": SEQUENCE | {"d_model": 256}}, "one latent width"),
         (
             {"ar_params": SEQUENCE | {"num_keys": 1026}},
@@ -216,25 +239,55 @@ class Malicious:
         return os.mkdir, (str(self.marker),)
 
 
-@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
-@pytest.mark.parametrize("save", [torch.save, lambda obj, path: path.write_bytes(pickle.dumps(obj))])
+def legacy(content, path):
+    torch.save(content, path, _use_new_zipfile_serialization=False)
+
+
+@pytest.mark.parametrize("save", [torch.save, legacy])
 def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
     folders = published()
     save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
-    with pytest.raises(InvalidInputError, match=r"is refused: .* would run code") as caught:
+    with pytest.raises(
+        InvalidInputError, match=r"is refused: it holds posix.mkdir, .* would run code"
+    ) as caught:
         import_published(*folders, ROBOT)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "ran").exists()
 
 
-def test_files_that_are_missing_or_no_pickles(published):
-    folders = published()
-    (folders[1] / "best_model.pkl").write_bytes(b"PK\x03\x04 broken")
-    with pytest.raises(InvalidInputError, match=r"best_model\.pkl is not a torch checkpoint"):
-        import_published(*folders, ROBOT)
-    torch.save([1], folders[1] / "best_model.pkl")
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"PK\x03\x04 broken", "is no torch checkpoint, or cut short"),
+        (b"", "is empty"),
+        (b"\n<!DOCTYPE html><html><title>Google Drive", "is a web page"),
+        (pickle.dumps({"encoder_state": Malicious("ran")}), "is no torch checkpoint"),
+        (b"hello", "is no torch checkpoint"),
+    ],
+)
+def test_files_that_are_something_else_are_called_what_they_are(tmp_path, content, message):
+    (tmp_path / "x.pkl").write_bytes(content)
+    with pytest.raises(InvalidInputError, match=rf"x\.pkl {message}") as caught:
+        read_tensors(tmp_path / "x.pkl")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_legacy_pickle_cut_anywhere_is_one_line(tmp_path):
+    legacy({"a": torch.zeros(3)}, tmp_path / "whole.pkl")
+    whole = (tmp_path / "whole.pkl").read_bytes()
+    for length in range(0, len(whole), 7):
+        (tmp_path / "cut.pkl").write_bytes(whole[:length])
+        with pytest.raises(InvalidInputError, match=r"cut\.pkl is"):
+            read_tensors(tmp_path / "cut.pkl")
+
+
+def test_lists_missing_files_and_pipes_are_named(tmp_path):
+    torch.save([1], tmp_path / "list.pkl")
     with pytest.raises(InvalidInputError, match="holds a list"):
-        import_published(*folders, ROBOT)
-    (folders[1] / "best_model.pkl").unlink()
+        read_tensors(tmp_path / "list.pkl")
     with pytest.raises(InvalidInputError, match=r"cannot read .*: No such file"):
-        import_published(*folders, ROBOT)
+        read_tensors(tmp_path / "none.pkl")
+    os.mkfifo(tmp_path / "pipe.pkl")
+    with pytest.raises(InvalidInputError, match="it is not a regular file"):
+        read_tensors(tmp_path / "pipe.pkl")

@@ -1,16 +1,15 @@
 """Conversion of the published checkpoint folders: three json files and two pickles of tensors."""
 
-import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from torch import Tensor
 
+from cvqmpt_lab.codec import from_plain, located
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_json_object, require_regular_file
 from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.config import (
     DictionaryConfig,
@@ -21,43 +20,40 @@ from cvqmpt_lab.models.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.published.pickles import read_tensors
 from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.weights_folder import load_tensors, read_json_object
+from cvqmpt_lab.models.tensors import filled
 
 WEIGHTS_FILE = "best_model.pkl"
 CODE_DIM = 8
 """Dimensions of a code: a constant of the published scripts, in none of the json files."""
 
 _SIZES = ("n_layers", "n_heads", "d_k", "d_v", "d_model", "d_inner", "dropout")
-_NUMPY_SCALAR: Any = np.float64(0.0).__reduce__()[0]
-_HARMLESS: list[Any] = [  # a learning rate may have been saved as a numpy number, under either path
-    _NUMPY_SCALAR,
-    (_NUMPY_SCALAR, "numpy.core.multiarray.scalar"),
-    np.dtype,
-    np.dtypes.Float64DType,
-    np.dtypes.Float32DType,
-    np.dtypes.Int64DType,
-]
+_STAGE1 = {"encoder_state": "encoder", "quantizer_state": "quantizer", "decoder_state": "decoder"}
+_STAGE2 = {"context_state": "context", "ar_model_state": "autoregressive"}
+"""States of each stage's pickle, by the part of our module that they fill."""
 
 
 @dataclass(frozen=True)
 class ImportedState:
-    """One state dictionary of the pickles, all of it used: its name, tensors and numbers."""
+    """One state dictionary of the pickles, all of it used."""
 
     name: str
     tensors: int
-    parameters: int
+    numbers: int
+    """Entries of all its tensors."""
 
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What was converted, and which entries beside the tensors were not (optimizer, epoch, ...)."""
+    """What was converted, and what was not."""
 
     states: tuple[ImportedState, ...]
     dictionary_epoch: int | None
     sequence_epoch: int | None
     ignored: tuple[str, ...]
+    """Entries beside the states: optimizer, epoch, ..."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,36 +81,27 @@ def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) 
     InvalidInputError
         Naming the file that is missing, not json or not a pickle of tensors (a pickle that wants to run
         code is refused, never executed), the field that is unknown or missing, or the tensors that are
-        missing, left over or of another shape.
+        missing, left over, of another shape or damaged.
     """
     dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
     config = _config(dictionary_dir, ar_dir)
-    dictionary, sequence_model = Dictionary(config), PublishedSequenceModel(config)
-    stage1 = _read_pickle(dictionary_dir / WEIGHTS_FILE)
-    stage2 = _read_pickle(ar_dir / WEIGHTS_FILE)
-    places = (
-        (stage1, dictionary_dir, "encoder_state", dictionary.encoder),
-        (stage1, dictionary_dir, "quantizer_state", dictionary.quantizer),
-        (stage1, dictionary_dir, "decoder_state", dictionary.decoder),
-        (stage2, ar_dir, "context_state", sequence_model.context),
-        (stage2, ar_dir, "ar_model_state", sequence_model.autoregressive),
+    stage1 = read_tensors(dictionary_dir / WEIGHTS_FILE)
+    stage2 = read_tensors(ar_dir / WEIGHTS_FILE)
+    where1, where2 = (str(folder / WEIGHTS_FILE) for folder in (dictionary_dir, ar_dir))
+    dictionary = filled(lambda: Dictionary(config), _together(stage1, _STAGE1, where1), where1)
+    sequence_model = filled(
+        lambda: PublishedSequenceModel(config), _together(stage2, _STAGE2, where2), where2
     )
-    states = []
-    for content, folder, name, module in places:
-        where = f"{folder / WEIGHTS_FILE}, {name}"
-        load_tensors(module, _state(content, name, where), where)
-        parameters = sum(parameter.numel() for parameter in module.parameters())
-        states.append(ImportedState(name, len(module.state_dict()), parameters))
-    used = {name for _, _, name, _ in places}
+    both = {**stage1, **stage2}
+    used = (*_STAGE1, *_STAGE2)
     report = ImportReport(
-        tuple(states),
+        tuple(ImportedState(n, len(both[n]), sum(t.numel() for t in both[n].values())) for n in used),
         _epoch(stage1),
         _epoch(stage2),
-        tuple(sorted({str(name) for name in (*stage1, *stage2)} - used)),
+        tuple(sorted({str(name) for name in both} - {*used})),
     )
     metadata = {"source": "published checkpoint", "epochs": [report.dictionary_epoch, report.sequence_epoch]}
-    checkpoint = Checkpoint(config, robot, dictionary.eval(), sequence_model.eval(), metadata)
-    return ImportedModel(checkpoint, report)
+    return ImportedModel(Checkpoint(config, robot, dictionary, sequence_model, metadata), report)
 
 
 def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
@@ -128,7 +115,13 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
         )
     if sequence["num_keys"] < 3:
         raise InvalidInputError(f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes")
-    width = stage1["d_model"]
+    with located(f"{dictionary_dir} and {ar_dir}"):
+        return _model_config(stage1, context, sequence)
+
+
+def _model_config(
+    stage1: Mapping[str, Any], context: Mapping[str, Any], sequence: Mapping[str, Any]
+) -> ModelConfig:
     return ModelConfig(
         kind="published",
         joint_dim=stage1["c_space_dim"],
@@ -139,7 +132,7 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
             code_dim=CODE_DIM,
         ),
         point_cloud=PointCloudConfig(
-            sa2=SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, width)),
+            sa2=SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, stage1["d_model"])),
         ),
         sequence=SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
     )
@@ -151,43 +144,26 @@ def _sizes(fields: Mapping[str, Any]) -> TransformerConfig:
 
 def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
     """Read exactly the named numbers from a json file."""
-    data = read_json_object(path)
+    data = read_json_object(require_regular_file(path))
     for name in (*data, *names):
         if name not in names or name not in data:
             state = "unknown" if name not in names else "missing"
             raise InvalidInputError(f"{path}: {name} is {state}; fields: {', '.join(names)}")
-        kind = (int, float) if name == "dropout" else (int,)
-        if not isinstance(data[name], kind) or isinstance(data[name], bool) or data[name] < 0:
-            raise InvalidInputError(f"{path}: {name} is {data[name]!r}; it must be a number, not negative")
+        from_plain(float if name == "dropout" else int, data[name], f"{path}: {name}")
     return data
 
 
-def _read_pickle(path: Path) -> dict[str, Any]:
-    """Read a pickle that may hold tensors and plain values, nothing that runs."""
-    try:
-        with torch.serialization.safe_globals(_HARMLESS):
-            content = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise InvalidInputError(f"cannot read {path}: {error.strerror}") from error
-    except pickle.UnpicklingError as error:
-        reason = str(error).split("WeightsUnpickler error: ")[-1].split(". ")[0].splitlines()[0]
-        raise InvalidInputError(
-            f"{path} is refused: it holds more than tensors and would run code ({reason})"
-        ) from error
-    except (RuntimeError, EOFError, ValueError, KeyError) as error:
-        raise InvalidInputError(f"{path} is not a torch checkpoint: {str(error).splitlines()[0]}") from error
-    if not isinstance(content, dict):
-        raise InvalidInputError(f"{path} holds a {type(content).__name__}; expected a dictionary of states")
-    return content
-
-
-def _state(content: Mapping[str, Any], name: str, where: str) -> dict[str, Tensor]:
-    state = content.get(name)
-    if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
-        raise InvalidInputError(
-            f"{where} is missing or not made of tensors; the file has {', '.join(map(str, content))}"
-        )
-    return state
+def _together(content: Mapping[str, Any], places: Mapping[str, str], where: str) -> dict[str, Tensor]:
+    """All tensors of a stage by the names that our module has for them."""
+    tensors: dict[str, Tensor] = {}
+    for name, part in places.items():
+        state = content.get(name)
+        if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
+            raise InvalidInputError(
+                f"{where}: {name} is missing or not made of tensors; the file has {', '.join(map(str, content))}"
+            )
+        tensors |= {f"{part}.{key}": tensor for key, tensor in state.items()}
+    return tensors
 
 
 def _epoch(content: Mapping[str, Any]) -> int | None:

@@ -17,6 +17,8 @@ from cvqmpt_lab.models.published.scene_context import SceneContext
 
 START_TOKEN = -1.0
 """Every entry of the vector that stands between the context and the first code."""
+MOST_PREFIXES = 40
+"""Training samples taken of one sequence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +41,11 @@ class PrefixSamples:
 def prefix_samples(codes: Tensor, goal_class: int) -> PrefixSamples:
     """Every prefix of codes (n,) and the next code, the goal class after the last.
 
-    Of 80 and more only every k-th, so that about 40 are left (published code).
+    Never more than 40 (published code): the first ones, of 80 and more every k-th.
     """
     following = torch.cat((codes, codes.new_tensor([goal_class])))
-    every = len(following) // 40 if len(following) >= 80 else 1
-    lengths = torch.arange(0, len(following), every, device=codes.device)
+    every = max(1, len(following) // MOST_PREFIXES)
+    lengths = torch.arange(0, len(following), every, device=codes.device)[:MOST_PREFIXES]
     return PrefixSamples(codes.expand(len(lengths), -1), lengths, following[lengths])
 
 

@@ -1,0 +1,59 @@
+"""Where weights are: the one place that finds them by name or folder, for one robot."""
+
+from pathlib import Path
+
+import cvqmpt_lab
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.weights_folder import checkpoint_folder, read_description
+from cvqmpt_lab.prediction.configurations import robot_signature
+from cvqmpt_lab.robot.robot import Robot
+
+WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
+SHIPPED = {"vq_mpt": Checkpoint.architecture, "mpnet": MPNetCheckpoint.architecture}
+"""Names of the weights that come with the package, and their architectures."""
+
+
+def resolve_model(
+    model: str | Path | None = None, architecture: str | None = None, robot: Robot | None = None
+) -> Path:
+    """Folder of a model's weights.
+
+    Parameters
+    ----------
+    model
+        A name of `SHIPPED`, a folder of weights, or that of a training, whose ``model`` is meant; None for
+        the shipped ones.
+    architecture
+        What it must be; None for any.
+    robot
+        Whom it must belong to; None for any.
+
+    Raises
+    ------
+    InvalidInputError
+        When there is no such model, or one of another architecture.
+    OtherRobotError
+        When its weights belong to another robot.
+    """
+    names = [name for name, of in SHIPPED.items() if architecture in (None, of)]
+    name = names[0] if model is None else str(model)
+    folder = checkpoint_folder(WEIGHTS / name if name in SHIPPED else Path(name))
+    if folder is None:
+        raise InvalidInputError(
+            f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the folder of a model "
+            "that you trained (cvqmpt train) or imported (cvqmpt model import)"
+        )
+    read_description(folder, architecture, None if robot is None else robot_signature(robot))
+    return folder
+
+
+def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> Checkpoint:
+    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `load_checkpoint`."""
+    return load_checkpoint(resolve_model(model, Checkpoint.architecture, robot), robot_signature(robot))
+
+
+def load_mpnet_for(robot: Robot, model: str | Path | None = None) -> MPNetCheckpoint:
+    """MPNet, likewise."""
+    return load_mpnet(resolve_model(model, MPNetCheckpoint.architecture, robot), robot_signature(robot))
