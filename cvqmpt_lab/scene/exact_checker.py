@@ -61,12 +61,6 @@ class CollisionChecker:
         """Whether configuration q (n,) touches anything. About 20 us."""
         return bool(pin.computeCollisions(self._model, self._data, self._manager, q, True))
 
-    def in_collision_pairwise(self, q: np.ndarray) -> bool:
-        """The same answer from the plain loop over all pairs: slow, for tests."""
-        return bool(
-            pin.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, q, True)
-        )
-
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) touches anything, (b,) bool."""
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)

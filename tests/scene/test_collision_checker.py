@@ -86,12 +86,17 @@ def test_clearance_is_negative_in_collision(panda):
     assert 0.0 < near.clearance(HOME) < 0.1
 
 
-@pytest.mark.parametrize("method", ["in_collision", "in_collision_pairwise"])
+def by_pairs(checker, q):
+    """The checker's answer from the plain loop over all pairs."""
+    return checker.colliding_pair(q) is not None
+
+
+@pytest.mark.parametrize("method", [CollisionChecker.in_collision, by_pairs])
 def test_margin_is_a_distance(panda, method):
     scene = scene_with(ball(ahead_of_hand(panda, 0.2), 0.04))
     clearance = CollisionChecker(panda, scene).clearance(HOME)
     for margin, touching in ((clearance - 1e-3, False), (clearance - 1e-4, False), (clearance + 1e-4, True)):
-        assert getattr(CollisionChecker(panda, scene, margin=margin), method)(HOME) == touching
+        assert method(CollisionChecker(panda, scene, margin=margin), HOME) == touching
 
 
 def test_the_carried_can_collides_with_a_box_in_front(panda):
@@ -141,14 +146,12 @@ def test_batch_equals_single(panda, open_kitchen):
     np.testing.assert_array_equal(answers, [checker.in_collision(q) for q in states])
 
 
-@pytest.mark.parametrize(
-    ("count", "margin"), [(2000, 0.0), (2000, 0.03), pytest.param(100_000, 0.0, marks=pytest.mark.slow)]
-)
-def test_broad_phase_equals_the_pair_loop(panda, open_kitchen, count, margin):
+@pytest.mark.parametrize("margin", [0.0, 0.03])
+def test_broad_phase_equals_the_pair_loop(panda, open_kitchen, margin):
     checker = CollisionChecker(panda, open_kitchen, (carried_can(),), margin)
-    states = panda.random_configurations(np.random.default_rng(3), count)
+    states = panda.random_configurations(np.random.default_rng(3), 2000)
     broad = checker.in_collision_batch(states)
-    pairwise = np.array([checker.in_collision_pairwise(q) for q in states])
+    pairwise = np.array([by_pairs(checker, q) for q in states])
     assert 0.3 < broad.mean() < 0.7
     different = [checker.clearance(q) - margin for q in states[broad != pairwise]]
     assert [d for d in different if abs(d) > CONTACT] == []
