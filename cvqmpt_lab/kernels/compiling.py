@@ -1,16 +1,10 @@
-"""How kernels are compiled: a decorator for the hot path, one for what is merged into it, one for outer loops.
+"""How kernels are compiled: one decorator, `kernel`, with our options and a cache on disk.
 
-`kernel` functions do not allocate, so numba's reference counting is switched off in them: it would
-cost more than their arithmetic (residual and Jacobian of a region: 3.7 us with it, 0.7 us without).
-`inlined` ones are merged into their caller: a bundle of arrays is passed as some hundred scalars, which
-a call in the hot path cannot afford. `thin` ones are pasted into kernels before anything is compiled,
-which spares compiling them on their own. `driver` functions may allocate. All treat division as IEEE
-does, and may fuse a product and a sum into one instruction (a quarter of forward kinematics).
+Division is IEEE's, and a product and a sum may be fused into one instruction (a quarter of forward kinematics).
 
-Machine code is cached on disk in a folder named after the contents of all kernel sources, because
-numba alone does not notice that a function called from another file has changed. NUMBA_CACHE_DIR
-chooses where that folder lies; without a writable place everything still works, compiled anew
-in each process.
+Machine code is cached in a folder named after the contents of all kernel sources, because numba alone does not
+notice that a function called from another file has changed. NUMBA_CACHE_DIR chooses where that folder lies;
+without a writable place everything still works, compiled anew in each process.
 """
 
 import hashlib
@@ -56,10 +50,29 @@ def _cache_folder() -> str | None:
 CACHE_FOLDER = _cache_folder()
 
 
-def _compiled(function: Callable | None = None, **options) -> Callable:
-    """Compile with our options, caching in CACHE_FOLDER."""
+INLINE: dict[str | None, dict] = {
+    None: {},
+    "machine": {"forceinline": True},
+    "source": {"inline": "always"},
+}
+
+
+def kernel(
+    function: Callable | None = None, *, inline: str | None = None, allocates: bool = False
+) -> Callable:
+    """Compile a function.
+
+    Parameters
+    ----------
+    inline: "machine" merges its machine code into every caller: a bundle of arrays is passed as some hundred
+        scalars, which a call in the hot path cannot afford. "source" pastes it into its callers before anything is
+        compiled, which spares compiling it on its own.
+    allocates: keep numba's reference counting, which arrays made inside need. It would cost more than the
+        arithmetic of the hot path (residual and Jacobian of a region: 3.7 us with it, 0.7 us without).
+    """
     if function is None:
-        return partial(_compiled, **options)
+        return partial(kernel, inline=inline, allocates=allocates)
+    options = INLINE[inline] | ({} if allocates else {"_nrt": False})
     before = config.CACHE_DIR
     config.CACHE_DIR = CACHE_FOLDER or before
     try:
@@ -72,12 +85,6 @@ def _compiled(function: Callable | None = None, **options) -> Callable:
         )(function)
     finally:
         config.CACHE_DIR = before
-
-
-kernel = partial(_compiled, _nrt=False)
-inlined = partial(_compiled, _nrt=False, forceinline=True)
-thin = partial(_compiled, _nrt=False, inline="always")
-driver = partial(_compiled)
 
 
 def compiled_before() -> bool:

@@ -15,15 +15,16 @@ ROUND = 16  # shortcuts tried between looks at the clock
 
 @dataclass(frozen=True)
 class SimplifySettings:
-    """When to stop: attempts or seconds used up, or `patience` rounds without `gain` (relative) in length.
-
-    Without seconds the result depends on path and seed alone.
-    """
+    """When to stop. Without seconds the result depends on path and seed alone."""
 
     attempts: int = 64
+    """Shortcuts tried at most."""
     seconds: float | None = None
+    """Wall time at most [s]; None: not limited."""
     patience: int = 4
+    """Rounds of ROUND shortcuts without `gain` after which it stops."""
     gain: float = 0.002
+    """Relative, in length."""
 
     def __post_init__(self) -> None:
         if self.attempts < 0 or (self.seconds is not None and not self.seconds > 0) or self.patience < 1:
@@ -32,11 +33,14 @@ class SimplifySettings:
 
 @dataclass(frozen=True)
 class Simplified:
-    """The shorter path, the wall time and the work it took."""
+    """A shorter path and what it took."""
 
     path: Path
+    """The shorter path."""
     seconds: float
+    """Wall time [s]."""
     counters: Counters
+    """Work done."""
 
 
 def simplify(

@@ -5,8 +5,9 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
-from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.collision.geometry import swing
+from cvqmpt_lab.kernels.entry import check_bundle
 from cvqmpt_lab.kernels.manifold.projection import projection_scratch
 from cvqmpt_lab.kernels.search import space_arrays as kernels
 from cvqmpt_lab.kernels.search.motion import refine_and_check
@@ -22,70 +23,52 @@ BACKENDS = ("compiled", "exact")
 
 @dataclass(frozen=True)
 class SpaceSettings:
-    """How finely motions are walked and checked.
-
-    Attributes
-    ----------
-    step: between neighbouring states [rad], the paper's 0.05.
-    resolution: of the last collision check of a motion [rad], the certificate's.
-    margin: kept from obstacles [m].
-    inset: how far inside their bounds regions are planned [m, rad], so that straight joint motions
-        between two states on the rim stay inside.
-    """
+    """How finely motions are walked and checked."""
 
     step: float = 0.05
+    """Between neighbouring states [rad], the paper's 0.05."""
     resolution: float = 0.01
+    """Of the exact backend's last check of a motion [rad]."""
     margin: float = 1e-4
+    """Kept from obstacles [m]."""
     inset: float = 1e-3
+    """How far inside their bounds regions are planned [m, rad], so that straight joint motions between two
+    states on the rim stay inside.
+    """
     tolerance: float = TOLERANCE
+    """On |F| after projection [m, rad]."""
     max_iterations: int = MAX_ITERATIONS
+    """Newton steps per projection."""
 
 
 class ConstrainedSpace:
-    """Compiled arrays of a problem, with one counter for all who use them.
+    """Compiled arrays of a problem, with one counter for all who use them."""
 
-    backend: "compiled" answers state checks in the kernels, "exact" calls coal; projection and tree
-    growth are the same code with either.
-
-    doubtful: names of the problem's configurations that the (conservative) state check blocks although
-    the meshes allow them; within `kernels.DOUBT` of these, exact checks have the last word.
-    """
+    doubtful: tuple[str, ...]
+    """Names of the problem's configurations that the (conservative) state check blocks although the meshes allow
+    them; within `kernels.DOUBT` of these, exact checks have the last word."""
 
     def __init__(
         self, problem: PlanningProblem, backend: str = "compiled", settings: SpaceSettings | None = None
     ) -> None:
+        """Make the arrays.
+
+        backend: "compiled" answers state checks in the kernels, "exact" calls coal; projection and tree growth are
+        the same code with either.
+        """
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
         settings = settings or SpaceSettings()
         self.problem, self.robot, self.backend, self.settings = problem, problem.robot, backend, settings
-        n = problem.robot.dof
-        regions = stack_regions(problem.robot, problem.constraint, settings.inset)
-        exact = backend == "exact"
-        self._check, query = _asked(problem.collision_checker(settings.margin) if exact else None, n)
-        robot = robot_arrays(problem.robot, problem.attachments)
-        self.arrays = kernels.Space(
-            kinematics=problem.robot.kinematics,
-            regions=regions,
-            robot=robot,
-            scene=scene_arrays(problem.scene, _reach(problem)),
-            tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
-            step=settings.step,
-            resolution=settings.resolution,
-            margin=settings.margin,
-            exact=exact,
-            check=self._check.address,
-            query=query,
-            doubtful=np.empty((0, n)),
-            swing=swing(problem.robot.kinematics, robot),
-            counters=np.zeros(4, dtype=np.int64),
-            state=np.zeros(n),
-            scratch=projection_scratch(n, regions),
-        )
+        exact = problem.collision_checker(settings.margin) if backend == "exact" else None
+        self._check, query = _callback(exact, problem.robot.dof)
+        self.arrays = _arrays(problem, settings, exact is not None, self._check.address, query)
+        check_bundle(self.arrays)
+        self._shape = (problem.robot.dof,)
         self._bound: BoundSpace | None = None
-        self.doubtful = self._ask_again()
+        self.doubtful = self._find_doubtful()
 
-    def _ask_again(self) -> tuple[str, ...]:
+    def _find_doubtful(self) -> tuple[str, ...]:
         """Names of start and goals that state checks block but the meshes allow; exact checks are used near them."""
         blocked = {label: q for label, q in self.problem.labelled_configurations() if not self.valid(q)}
         self.arrays.counters[:] = 0
@@ -93,7 +76,7 @@ class ConstrainedSpace:
             return ()
         checker = self.problem.collision_checker()
         doubtful = {label: q for label, q in blocked.items() if not checker.in_collision(q)}
-        self._check, query = _asked(checker, self.robot.dof)
+        self._check, query = _callback(checker, self.robot.dof)
         near = np.array(list(doubtful.values())).reshape(-1, self.robot.dof)
         self.arrays = self.arrays._replace(check=self._check.address, query=query, doubtful=near)
         self._bound = None
@@ -134,10 +117,12 @@ class ConstrainedSpace:
 
     def project(self, q: np.ndarray) -> bool:
         """Project q (n,) in place onto the manifold, inside the limits; True on success."""
+        self._require_configuration(q)
         return project_one(self.bound, q)
 
     def valid(self, q: np.ndarray) -> bool:
         """Whether q (n,) is free of collision."""
+        self._require_configuration(q)
         answer = valid_one(self.bound, q)
         self.reraise()
         return answer
@@ -151,9 +136,18 @@ class ConstrainedSpace:
 
     def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """F(q) (m,) and dF/dq (m, n)."""
+        self._require_configuration(q)
         residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
         constraint_one(self.bound, q, full, residual, jacobian)
         return residual, jacobian
+
+    def _require_configuration(self, q: np.ndarray) -> None:
+        """The gate of `kernels.entry` for calls per state: InvalidInputError unless q is one configuration."""
+        if q.shape != self._shape or q.dtype != np.float64:
+            raise InvalidInputError(
+                f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of float64; "
+                f"given: {q.shape} of {q.dtype}"
+            )
 
     def checked_path(self, states: np.ndarray) -> tuple[Path | None, int]:
         """The path through states (m, n), mended where straight motions leave the manifold, if it is free.
@@ -165,12 +159,40 @@ class ConstrainedSpace:
         states = np.ascontiguousarray(states)
         room = 8 * len(states) + 4 * int(Path(states).length / self.settings.step) + 64
         out = np.empty((room, states.shape[1]))
-        written, bad = refine_and_check(self.arrays, states, len(states), out)
+        written, bad = refine_and_check(self.arrays, states, out)
         self.reraise()
         return (Path(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
 
 
-def _asked(checker: CollisionChecker | None, n: int) -> tuple[kernels.StateCheck, np.ndarray]:
+def _arrays(
+    problem: PlanningProblem, settings: SpaceSettings, exact: bool, check: int, query: np.ndarray
+) -> kernels.Space:
+    """The problem in plain arrays; check, query: address of the exact check, and the array it reads."""
+    kinematics, n = problem.robot.kinematics, problem.robot.dof
+    regions = stack_regions(problem.robot, problem.constraint, settings.inset)
+    robot = robot_arrays(problem.robot, problem.attachments)
+    return kernels.Space(
+        kinematics=kinematics,
+        regions=regions,
+        robot=robot,
+        scene=scene_arrays(problem.scene, _reach(problem)),
+        tolerance=settings.tolerance,
+        max_iterations=settings.max_iterations,
+        step=settings.step,
+        resolution=settings.resolution,
+        margin=settings.margin,
+        exact=exact,
+        check=check,
+        query=query,
+        doubtful=np.empty((0, n)),
+        swing=swing(kinematics, robot),
+        counters=np.zeros(4, dtype=np.int64),
+        state=np.zeros(n),
+        scratch=projection_scratch(n, regions),
+    )
+
+
+def _callback(checker: CollisionChecker | None, n: int) -> tuple[kernels.StateCheck, np.ndarray]:
     """A checker of n joints as compiled code calls it, and the array through which it is asked."""
     query = np.zeros(n)
     valid = None if checker is None else lambda q: not checker.in_collision(q)

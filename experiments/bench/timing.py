@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver
+from cvqmpt_lab.kernels.compiling import kernel
 
 REPEATS = 7
 
@@ -46,7 +46,7 @@ def spread(name: str, values: np.ndarray, unit: str) -> Figure:
     return Figure(name, float(median), float(low), float(high), unit)
 
 
-@driver
+@kernel(allocates=True)
 def _calibration_loop(n):
     total = 0.0
     for i in range(n):

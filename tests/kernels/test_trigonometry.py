@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.kernels.compiling import driver
+from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.manifold.trigonometry import sine_and_cosine
 
 
-@driver
+@kernel(allocates=True)
 def _of_all(angles, sines, cosines):
     for i in range(len(angles)):
         sines[i], cosines[i] = sine_and_cosine(angles[i])

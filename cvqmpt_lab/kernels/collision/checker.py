@@ -10,12 +10,12 @@ import numpy as np
 
 from cvqmpt_lab.kernels.collision.distance_grid import cell_of, known_distance
 from cvqmpt_lab.kernels.collision.separation import compose, point_separated, separated
-from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
+from cvqmpt_lab.kernels.compiling import kernel
 
 FREE = -1
 
 
-@inlined
+@kernel(inline="machine")
 def _placed(r, t, link, sphere, k):
     """World position of the centre of ball k."""
     x, y, z = sphere[k, 0], sphere[k, 1], sphere[k, 2]
@@ -26,7 +26,7 @@ def _placed(r, t, link, sphere, k):
     )
 
 
-@inlined
+@kernel(inline="machine")
 def _moved(pose, x, y, z):
     """A point seen through a pose (12-tuple)."""
     return (
@@ -36,7 +36,7 @@ def _moved(pose, x, y, z):
     )
 
 
-@inlined
+@kernel(inline="machine")
 def _world_in_link(r, t, link):
     """Pose of the world in a link's frame: 9 rotation entries by rows, then 3 of translation."""
     x, y, z = t[link, 0], t[link, 1], t[link, 2]
@@ -56,7 +56,7 @@ def _world_in_link(r, t, link):
     )
 
 
-@thin
+@kernel(inline="source")
 def _way_out(bounds, i, x, y, z):
     """World vector from the nearest point of item i's box to a point [m]; zero inside."""
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
@@ -86,7 +86,7 @@ def _touches_points(pieces, piece, points, first, last, radius, pose, centre, re
     return False
 
 
-@thin
+@kernel(inline="source")
 def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin):
     """First item within margin of the piece in leaf node, whose ball is centred on x, y, z; or FREE."""
     piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
@@ -122,7 +122,7 @@ def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, m
     return FREE
 
 
-@thin
+@kernel(inline="source")
 def _obstacle_contact(r, t, robot, scene, body, margin):
     """(geometry, obstacle) of the first contact of a body, or (FREE, FREE)."""
     link = robot.body_link[body]
@@ -144,7 +144,7 @@ def _obstacle_contact(r, t, robot, scene, body, margin):
     return FREE, FREE
 
 
-@thin
+@kernel(inline="source")
 def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
     """First piece of body other within margin of a piece with ball (x, y, z, radius), or FREE.
 
@@ -166,7 +166,7 @@ def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
     return FREE
 
 
-@thin
+@kernel(inline="source")
 def _body_contact(r, t, robot, a, b, xa, ya, za, margin):
     """Geometries of the first contact of two bodies, or (FREE, FREE).
 

@@ -6,11 +6,11 @@ the bound does not clear. Both are filled from coarse to fine: a block of 8^3 ce
 that can matter inside it, and hands the shrinking list to its halves, quarters and cells.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined, kernel
+from cvqmpt_lab.kernels.compiling import kernel
 
 RANGE = 0.3  # [m] distances are cut off here
 REACH = 0.13  # [m] largest ball whose neighbours are listed
@@ -24,25 +24,25 @@ ROTATION, CENTRE, HALF, SWELLING, COLUMNS = 0, 9, 12, 15, 16
 
 
 class DistanceGrid(NamedTuple):
-    """See the module's docstring.
+    """Lower bounds of distances, and lists of the obstacles nearby; see the module's docstring."""
 
-    Attributes
-    ----------
-    origin: (3,) corner of the grid [m]. cell: edge of a cell [m]. cells_per_metre: its inverse.
-    distance: (nx, ny, nz) uint8 in units of RANGE / 255.
-    list_start, list_count: (nx / 2, ny / 2, nz / 2) int64 and int32 into items (k,) int32: obstacle indices.
-    """
-
-    origin: np.ndarray
+    origin: Annotated[np.ndarray, "3"]
+    """Corner of the grid [m]."""
     cell: float
+    """Edge of a cell [m]."""
     cells_per_metre: float
-    distance: np.ndarray
-    list_start: np.ndarray
-    list_count: np.ndarray
-    items: np.ndarray
+    """Its inverse [1/m]."""
+    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
+    """In units of RANGE / 255."""
+    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
+    """Where the list of a block of 2^3 cells begins in `items`."""
+    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]
+    """How long it is."""
+    items: Annotated[np.ndarray, "int32 listed"]
+    """Obstacle indices."""
 
 
-@inlined
+@kernel(inline="machine")
 def _distances(bounds, i, x, y, z, half):
     """Distances of obstacle i from a cube (lower bound; exact for parallel axes) and from its centre [m]."""
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
@@ -114,7 +114,7 @@ def _fill_cells(bounds, grid, bx, by, bz, candidates, n):
                 grid.distance[cx, cy, cz] = np.uint8(max(best - _ROUNDING, 0.0) / _STEP)
 
 
-@driver
+@kernel(allocates=True)
 def _with_room(items, used, more):
     """Return items, copied into a longer array if more do not fit."""
     if used + more <= items.shape[0]:
@@ -124,7 +124,7 @@ def _with_room(items, used, more):
     return longer
 
 
-@driver
+@kernel(allocates=True)
 def _fill(bounds, grid, block_start, block_items, reach):
     """Fill distances and lists; return the items of the lists."""
     blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
@@ -155,7 +155,7 @@ def _fill(bounds, grid, block_start, block_items, reach):
     return items[:used].copy()
 
 
-@driver
+@kernel(allocates=True)
 def _assign(bounds, origin, edge, blocks, starts, items, fill):
     """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -202,7 +202,7 @@ def distance_grid(
     return grid._replace(items=_fill(bounds, grid, starts, block_items, reach))
 
 
-@inlined
+@kernel(inline="machine")
 def cell_of(grid, x, y, z):
     """Return the cell (3 ints) of a point and whether the point lies in the grid (else cell 0)."""
     scale = grid.cells_per_metre
@@ -213,7 +213,7 @@ def cell_of(grid, x, y, z):
     return 0, 0, 0, False
 
 
-@inlined
+@kernel(inline="machine")
 def known_distance(grid, ix, iy, iz):
     """Return the lower bound stored in a cell [m]."""
     return grid.distance[ix, iy, iz] * _STEP

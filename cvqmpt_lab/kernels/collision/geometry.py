@@ -6,7 +6,7 @@ handful of neighbouring points of a cloud.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -35,48 +35,49 @@ CELL = 0.04  # [m] of the distance grid
 
 
 class RobotGeometry(NamedTuple):
-    """Convex pieces of a robot, its attachments included.
-
-    Attributes
-    ----------
-    pieces: m convex pieces in their link frames. owner: (m,) geometry of each piece.
-    sphere, skip, leaf: balls of all bodies, see `SphereTree`; leaf counts pieces.
-    body_link, body_start, body_end: (b,) pose row and range of balls of each body.
-    order: bodies to check against obstacles, tip first. pairs: (k, 2) bodies to check against each other.
-    largest: radius of the largest ball at a leaf [m].
-    """
+    """Convex pieces of a robot, its attachments included."""
 
     pieces: ConvexShapes
-    owner: np.ndarray
-    sphere: np.ndarray
-    skip: np.ndarray
-    leaf: np.ndarray
-    body_link: np.ndarray
-    body_start: np.ndarray
-    body_end: np.ndarray
-    order: np.ndarray
-    pairs: np.ndarray
+    """m convex pieces in their link frames."""
+    owner: Annotated[np.ndarray, "int64 pieces"]
+    """Geometry of each piece."""
+    sphere: Annotated[np.ndarray, "balls 4"]
+    """Balls of all bodies, see `SphereTree` [m]."""
+    skip: Annotated[np.ndarray, "int64 balls"]
+    """See `SphereTree`."""
+    leaf: Annotated[np.ndarray, "int64 balls"]
+    """Piece in each ball, or -1."""
+    body_link: Annotated[np.ndarray, "int64 bodies"]
+    """Pose row of each body."""
+    body_start: Annotated[np.ndarray, "int64 bodies"]
+    """First ball of each body."""
+    body_end: Annotated[np.ndarray, "int64 bodies"]
+    """After its last ball."""
+    order: Annotated[np.ndarray, "int64 checked"]
+    """Bodies to check against obstacles, tip first."""
+    pairs: Annotated[np.ndarray, "int64 pairs 2"]
+    """Bodies to check against each other."""
     largest: float
+    """Radius of the largest ball at a leaf [m]."""
 
 
 class SceneGeometry(NamedTuple):
-    """Obstacles and clusters of cloud points, with their grid.
-
-    Attributes
-    ----------
-    shapes, bounds: all items; bounds (n, COLUMNS) are oriented boxes, see `distance_grid`.
-    owner: (n,) obstacle of each item; clouds are counted after the shapes.
-    point_start: (n + 1,) range of each item's points; empty for a shape, which is solid.
-    points: (k, 3) [m]. reach: largest ball whose neighbours the grid lists [m].
-    """
+    """Obstacles and clusters of cloud points, with their grid."""
 
     shapes: ConvexShapes
-    bounds: np.ndarray
-    owner: np.ndarray
-    point_start: np.ndarray
-    points: np.ndarray
+    """All items."""
+    bounds: Annotated[np.ndarray, "items 16"]
+    """Oriented boxes around them, see `distance_grid`."""
+    owner: Annotated[np.ndarray, "int64 items"]
+    """Obstacle of each item; clouds are counted after the shapes."""
+    point_start: Annotated[np.ndarray, "int64 ranges"]
+    """Range of each item's points; empty for a shape, which is solid."""
+    points: Annotated[np.ndarray, "points 3"]
+    """[m]."""
     grid: DistanceGrid
+    """Distances over the robot's reach."""
     reach: float
+    """Largest ball whose neighbours the grid lists [m]."""
 
 
 def robot_geometry(

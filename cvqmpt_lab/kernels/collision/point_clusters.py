@@ -12,27 +12,29 @@ _FINE = 8  # steps of the sorting curve along the edge of a voxel
 
 
 class Cloud(NamedTuple):
-    """Points (k, 3) in the world [m], each a ball of radius [m]."""
+    """Points in the world, each a ball."""
 
     points: np.ndarray
+    """(k, 3) [m]."""
     radius: float
+    """Of every ball [m]."""
 
 
 class PointClusters(NamedTuple):
-    """Boxes around neighbouring points.
-
-    Attributes
-    ----------
-    centre, half: (n, 3) axis-aligned boxes around the points' centres [m]. radius: (n,) of their balls [m].
-    cloud: (n,) which cloud. start: (n + 1,) range of each cluster in points (k, 3) [m].
-    """
+    """Axis-aligned boxes around the centres of neighbouring points."""
 
     centre: np.ndarray
+    """(n, 3) [m]."""
     half: np.ndarray
+    """(n, 3) half edges [m]."""
     radius: np.ndarray
+    """(n,) of the points' balls [m]."""
     cloud: np.ndarray
+    """(n,) int64, which cloud."""
     start: np.ndarray
+    """(n + 1,) int64 range of each cluster in `points`."""
     points: np.ndarray
+    """(k, 3), sorted by cluster [m]."""
 
 
 def cluster_points(clouds: Sequence[Cloud], voxel: float) -> PointClusters:

@@ -8,12 +8,12 @@ asked margin. Running out of iterations, numerical trouble and NaN poses therefo
 Everything is scalar and allocation-free; coordinates are in the frame of shape A's owner [m].
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.kernels.collision.simplex import dot, nearest_on_simplex
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import kernel
 
 HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
 MAX_HULL_VERTICES = 1 << 16
@@ -30,26 +30,26 @@ class ConvexShapes(NamedTuple):
     Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's frame.
     """
 
-    kind: np.ndarray
-    """(n,) int64: HULL, BOX, CYLINDER (axis z) or SPHERE."""
-    size: np.ndarray
-    """(n, 3) float64: half sizes of a box; (radius, radius, half length) of a cylinder; largest absolute
+    kind: Annotated[np.ndarray, "int64 shapes"]
+    """HULL, BOX, CYLINDER (axis z) or SPHERE."""
+    size: Annotated[np.ndarray, "shapes 3"]
+    """Half sizes of a box; (radius, radius, half length) of a cylinder; largest absolute
     coordinates of a hull; zeros for a sphere [m]."""
-    radius: np.ndarray
-    """(n,) float64 swelling of the core [m]; for a sphere its radius."""
-    rotation: np.ndarray
-    """(n, 3, 3) float64 orientation of the core in its owner's frame."""
-    translation: np.ndarray
-    """(n, 3) float64 position of the core in its owner's frame [m]."""
-    vertex_start: np.ndarray
-    """(n,) int64 first column of ``vertices``."""
-    vertex_count: np.ndarray
-    """(n,) int64 number of columns of ``vertices``."""
-    vertices: np.ndarray
-    """(3, m) float64 packed hull vertices, one row a coordinate so that the support loop vectorises [m]."""
+    radius: Annotated[np.ndarray, "shapes"]
+    """Swelling of the core [m]; for a sphere its radius."""
+    rotation: Annotated[np.ndarray, "shapes 3 3"]
+    """Orientation of the core in its owner's frame."""
+    translation: Annotated[np.ndarray, "shapes 3"]
+    """Position of the core in its owner's frame [m]."""
+    vertex_start: Annotated[np.ndarray, "int64 shapes"]
+    """First column of ``vertices``."""
+    vertex_count: Annotated[np.ndarray, "int64 shapes"]
+    """Number of columns of ``vertices``."""
+    vertices: Annotated[np.ndarray, "3 vertices"]
+    """Packed hull vertices, one row a coordinate so that the support loop vectorises [m]."""
 
 
-@inlined
+@kernel(inline="machine")
 def _hull_support(x, y, z, size, d):
     """Return the vertex farthest along d among x, y, z (n,), to about 1e-10 of the hull's size.
 
@@ -65,7 +65,7 @@ def _hull_support(x, y, z, size, d):
     return x[k], y[k], z[k]
 
 
-@inlined
+@kernel(inline="machine")
 def _core_support(kind, size, x, y, z, d):
     """Return the point of a core, in its own frame, farthest along d (3 scalars)."""
     if kind == HULL:
@@ -79,7 +79,7 @@ def _core_support(kind, size, x, y, z, d):
     return 0.0, 0.0, 0.0
 
 
-@inlined
+@kernel(inline="machine")
 def _posed_support(kind, size, x, y, z, pose, d):
     """Return the point of a posed core farthest along d; pose is 9 rotation entries by row, then 3."""
     local = (
@@ -127,7 +127,7 @@ def _gjk(ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, a
     return widest
 
 
-@inlined
+@kernel(inline="machine")
 def compose(r, t, pose):
     """Return pose (12-tuple) followed by rotation r (3, 3) and translation t (3,) inside it."""
     return (
@@ -146,7 +146,7 @@ def compose(r, t, pose):
     )
 
 
-@inlined
+@kernel(inline="machine")
 def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     """Return the widest empty slab found between shape i of a and shape j of b [m].
 
@@ -192,7 +192,7 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     return gap - swelling
 
 
-@inlined
+@kernel(inline="machine")
 def separated(a, i, b, j, pose, axis, margin):
     """Return whether a slab wider than margin [m] separates shape i of a from shape j of b."""
     return separating_gap(a, i, b, j, pose, axis, margin, margin, 1e-9) > margin
@@ -204,7 +204,7 @@ def distance(a, i, b, j, pose, axis, tolerance):
     return max(separating_gap(a, i, b, j, pose, axis, np.inf, 0.0, tolerance), 0.0)
 
 
-@inlined
+@kernel(inline="machine")
 def point_separated(a, i, point, radius, axis, margin):
     """Return whether a slab wider than margin [m] separates shape i of a from a ball.
 

@@ -21,21 +21,16 @@ _PRISM_SIDES = 16
 
 
 class ShapeSpec(NamedTuple):
-    """One convex shape in plain numbers.
-
-    Attributes
-    ----------
-    kind: HULL, BOX, CYLINDER or SPHERE.
-    size: full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, unused for a
-        hull [m].
-    vertices: (n, 3) of a hull in the shape's frame, else (0, 3).
-    T_owner_shape: (4, 4) pose in the frame of the link or the world.
-    """
+    """One convex shape in plain numbers."""
 
     kind: int
+    """HULL, BOX, CYLINDER or SPHERE."""
     size: tuple[float, ...]
+    """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a hull [m]."""
     vertices: np.ndarray
+    """(n, 3) of a hull in the shape's frame, else (0, 3) [m]."""
     T_owner_shape: np.ndarray
+    """(4, 4) pose in the frame of the link or the world."""
 
 
 def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:

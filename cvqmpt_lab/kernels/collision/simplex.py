@@ -5,7 +5,7 @@ Voronoi-region tests after Ericson, "Real-Time Collision Detection", section 5.1
 point v. Points are tuples of three floats [m].
 """
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import kernel
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _FLAT = 1e-12
@@ -32,7 +32,7 @@ def _along(a, t, e):
     return a[0] + t * e[0], a[1] + t * e[1], a[2] + t * e[2]
 
 
-@inlined
+@kernel(inline="machine")
 def _nearest_on_segment(a, b):
     ab = _minus(b, a)
     t = -dot(a, ab)
@@ -107,7 +107,7 @@ def _nearest_on_tetrahedron(a, b, c, d):
     return found
 
 
-@inlined
+@kernel(inline="machine")
 def nearest_on_simplex(n, p0, p1, p2, newest):
     """Return the nearest point to the origin on the hull of the first n points and the newest one."""
     if n == 0:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from cvqmpt_lab.kernels.compiling import driver
+from cvqmpt_lab.kernels.compiling import kernel
 
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
 MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS
@@ -21,28 +21,28 @@ SLACK = 1e-8  # [m] added to every ball: more than FLAT and the rounding of its 
 
 
 class Piece(NamedTuple):
-    """One leaf: points (k, 3) whose swelled hull holds it, the swelling [m], the caller's number for it."""
+    """One leaf of a sphere tree."""
 
     points: np.ndarray
+    """(k, 3), whose hull, swelled, holds the piece [m]."""
     swelling: float
+    """[m]"""
     number: int
+    """The caller's number for it."""
 
 
 class SphereTree(NamedTuple):
-    """Balls in preorder. A ball that is cleared clears all nodes up to its ``skip``.
-
-    Attributes
-    ----------
-    sphere: (k, 4) centre and radius [m]. skip: (k,) int64 next node outside the subtree.
-    leaf: (k,) int64 number of the piece inside the ball, -1 for inner nodes.
-    """
+    """Balls in preorder: one that is cleared clears all nodes up to its `skip`."""
 
     sphere: np.ndarray
+    """(k, 4) centre and radius [m]."""
     skip: np.ndarray
+    """(k,) int64 next node outside the subtree."""
     leaf: np.ndarray
+    """(k,) int64 number of the piece inside the ball, -1 for inner nodes."""
 
 
-@driver
+@kernel(allocates=True)
 def enclosing_sphere(points, rounds=200):
     """Return centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
 
@@ -68,10 +68,12 @@ def enclosing_sphere(points, rounds=200):
 
 
 class Hull(NamedTuple):
-    """Corners (k, 3) of a convex hull [m] and index pairs (e, 2) that include all its edges."""
+    """A convex hull."""
 
     corners: np.ndarray
+    """(k, 3) [m]."""
     edges: np.ndarray
+    """(e, 2) pairs of corners that include all its edges."""
 
 
 def convex_hull(points: np.ndarray) -> Hull:

@@ -4,37 +4,35 @@ Joint frames are chosen so that every joint turns about, or slides along, its ow
 (`Robot` prepares them). Row 0 of every pose array is the world; joint j (0-based) is row j + 1.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.trigonometry import sine_and_cosine
 
 
 class Kinematics(NamedTuple):
-    """A kinematic tree of n joints.
+    """A kinematic tree of n joints."""
 
-    Attributes
-    ----------
-    parent: (n,) int64, pose row of the parent frame (0 = world, j + 1 = joint j).
-    rotation: (n, 3, 3), rotation of the joint frame in its parent frame at q = 0.
-    translation: (n, 3), origin of the joint frame in its parent frame at q = 0 [m].
-    prismatic: (n,) bool, True for a slider, False for a hinge.
-    lower, upper: (n,) joint limits [rad or m].
-    moves: (n, n + 1) bool, whether joint j moves pose row k.
-    """
-
-    parent: np.ndarray
-    rotation: np.ndarray
-    translation: np.ndarray
-    prismatic: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    moves: np.ndarray
+    parent: Annotated[np.ndarray, "int64 n"]
+    """Pose row of the parent frame (0 = world, j + 1 = joint j)."""
+    rotation: Annotated[np.ndarray, "n 3 3"]
+    """Rotation of the joint frame in its parent frame at q = 0."""
+    translation: Annotated[np.ndarray, "n 3"]
+    """Origin of the joint frame in its parent frame at q = 0 [m]."""
+    prismatic: Annotated[np.ndarray, "bool n"]
+    """True for a slider, False for a hinge."""
+    lower: Annotated[np.ndarray, "n"]
+    """Joint limits [rad or m]."""
+    upper: Annotated[np.ndarray, "n"]
+    """Joint limits [rad or m]."""
+    moves: Annotated[np.ndarray, "bool n p"]
+    """Whether joint j moves pose row k."""
 
 
-@inlined
+@kernel(inline="machine")
 def forward_kinematics(kinematics, q, link_rotation, link_translation):
     """Write the pose of every joint frame.
 
@@ -71,8 +69,9 @@ def forward_kinematics(kinematics, q, link_rotation, link_translation):
             link_translation[j + 1, a] = link_translation[up, a] + r0 * o0 + r1 * o1 + r2 * o2
 
 
-@driver
-def link_poses(kinematics, configurations):
+@entry
+@kernel(allocates=True)
+def link_poses(kinematics: Kinematics, configurations: Annotated[np.ndarray, "count n"]):
     """Poses of all joint frames for many configurations.
 
     Parameters

@@ -7,12 +7,13 @@ zero and dependent rows do no harm. A joint that stands at a limit and would be 
 and the step computed again without it; what still leaves the limits is clipped.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined, thin
-from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.regions import Regions, jacobian, residual
 
 DAMPING = 1e-9  # relative to the trace of J J^T
@@ -20,18 +21,24 @@ LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm
 
 
 class ProjectionScratch(NamedTuple):
-    """Work arrays: link poses; displacement (k, 9), residual (m,) and Jacobian (m, n) of the regions;
-    normal matrix (m, m), multiplier (m,) and step (n,) of Newton's method.
-    """
+    """Work arrays of a projection with n joints, k regions and m bounded rows."""
 
-    link_rotation: np.ndarray
-    link_translation: np.ndarray
-    displacement: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
-    normal: np.ndarray
-    multiplier: np.ndarray
-    step: np.ndarray
+    link_rotation: Annotated[np.ndarray, "p 3 3"]
+    """Link poses."""
+    link_translation: Annotated[np.ndarray, "p 3"]
+    """Link poses [m]."""
+    displacement: Annotated[np.ndarray, "k 9"]
+    """What `residual` leaves for `jacobian`."""
+    residual: Annotated[np.ndarray, "m"]
+    """[m, rad]."""
+    jacobian: Annotated[np.ndarray, "m n"]
+    """(m, n)."""
+    normal: Annotated[np.ndarray, "m m"]
+    """Normal matrix of Newton's method, factorised."""
+    multiplier: Annotated[np.ndarray, "m"]
+    """Its solution."""
+    step: Annotated[np.ndarray, "n"]
+    """Newton step [rad or m]."""
 
 
 def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
@@ -49,7 +56,7 @@ def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
     )
 
 
-@thin
+@kernel(inline="source")
 def _solve_normal_equations(scratch):
     """Write (J J^T + damping)^-1 residual into scratch.multiplier by Cholesky factorisation."""
     rows, normal, x = scratch.jacobian, scratch.normal, scratch.multiplier
@@ -84,7 +91,7 @@ def _solve_normal_equations(scratch):
         x[i] /= normal[i, i]
 
 
-@thin
+@kernel(inline="source")
 def newton_step(scratch, out):
     """Write the minimum-norm step -J^T (J J^T)^-1 F into out (n,)."""
     _solve_normal_equations(scratch)
@@ -101,7 +108,7 @@ def newton_step(scratch, out):
             out[j] *= scale
 
 
-@thin
+@kernel(inline="source")
 def _hold_joints_at_limits(kinematics, q, scratch):
     """Take joints that stand at a limit and would leave it out of the Jacobian; whether there are any."""
     found = False
@@ -114,8 +121,16 @@ def _hold_joints_at_limits(kinematics, q, scratch):
     return found
 
 
-@inlined
-def project(kinematics, regions, q, tolerance, max_iterations, scratch):
+@entry
+@kernel(inline="machine")
+def project(
+    kinematics: Kinematics,
+    regions: Regions,
+    q: Annotated[np.ndarray, "n"],
+    tolerance,
+    max_iterations,
+    scratch: ProjectionScratch,
+):
     """Move q (n,) in place onto the manifold and inside the joint limits.
 
     Returns
@@ -153,8 +168,16 @@ def project(kinematics, regions, q, tolerance, max_iterations, scratch):
         iteration += 1
 
 
-@driver
-def project_batch(kinematics, regions, configurations, tolerance, max_iterations, scratch):
+@entry
+@kernel(allocates=True)
+def project_batch(
+    kinematics: Kinematics,
+    regions: Regions,
+    configurations: Annotated[np.ndarray, "count n"],
+    tolerance,
+    max_iterations,
+    scratch: ProjectionScratch,
+):
     """Project every row of configurations (b, n) in place; returns iterations (b,), < 0 where it failed."""
     iterations = np.empty(configurations.shape[0], np.int64)
     for i in range(configurations.shape[0]):
@@ -162,9 +185,17 @@ def project_batch(kinematics, regions, configurations, tolerance, max_iterations
     return iterations
 
 
-@driver
+@entry
+@kernel(allocates=True)
 def reach_poses(
-    kinematics, regions, rotations, translations, configurations, tolerance, max_iterations, scratch
+    kinematics: Kinematics,
+    regions: Regions,
+    rotations: Annotated[np.ndarray, "count 3 3"],
+    translations: Annotated[np.ndarray, "count 3"],
+    configurations: Annotated[np.ndarray, "count attempts n"],
+    tolerance,
+    max_iterations,
+    scratch: ProjectionScratch,
 ):
     """Project configurations (k, a, n) in place onto one pose each: `regions` with its reference frame put there.
 

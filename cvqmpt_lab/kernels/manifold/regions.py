@@ -8,41 +8,42 @@ with residual = signed distance of x outside [lower, upper], zero inside. Severa
 rows: their intersection. No rows at all is the unconstrained problem.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import driver, inlined, thin
-from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.rotation import log_map_factor, rotation_vector
 
 
 class Regions(NamedTuple):
-    """k stacked regions with m bounded rows in all.
+    """k stacked regions with m bounded rows in all; rows are sorted by region, then axis."""
 
-    Attributes
-    ----------
-    link, base: (k,) int64, pose rows carrying the end frame and the reference frame (base 0 = world).
-    end_rotation, end_translation: (k, 3, 3), (k, 3): T_link_e (Tw_e)^-1.
-    reference_rotation, reference_translation: (k, 3, 3), (k, 3): T_base_w.
-    region: (m,) int64, region of each row; axis: (m,) int64, 0-2 position, 3-5 rotation vector; rows are
-        sorted by region, then axis.
-    lower, upper: (m,) bounds [m or rad].
-    """
+    link: Annotated[np.ndarray, "int64 k"]
+    """Pose row carrying the end frame."""
+    base: Annotated[np.ndarray, "int64 k"]
+    """Pose row carrying the reference frame (0 = world)."""
+    end_rotation: Annotated[np.ndarray, "k 3 3"]
+    """Rotation of T_link_e (Tw_e)^-1."""
+    end_translation: Annotated[np.ndarray, "k 3"]
+    """Its translation [m]."""
+    reference_rotation: Annotated[np.ndarray, "k 3 3"]
+    """Rotation of T_base_w."""
+    reference_translation: Annotated[np.ndarray, "k 3"]
+    """Its translation [m]."""
+    region: Annotated[np.ndarray, "int64 m"]
+    """Region of each row."""
+    axis: Annotated[np.ndarray, "int64 m"]
+    """0-2 position, 3-5 rotation vector."""
+    lower: Annotated[np.ndarray, "m"]
+    """Bounds [m or rad]."""
+    upper: Annotated[np.ndarray, "m"]
+    """Bounds [m or rad]."""
 
-    link: np.ndarray
-    base: np.ndarray
-    end_rotation: np.ndarray
-    end_translation: np.ndarray
-    reference_rotation: np.ndarray
-    reference_translation: np.ndarray
-    region: np.ndarray
-    axis: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
 
-
-@inlined
+@kernel(inline="machine")
 def _turned(rotation, i, x, y, z):
     """rotation[i] applied to (x, y, z)."""
     return (
@@ -52,7 +53,7 @@ def _turned(rotation, i, x, y, z):
     )
 
 
-@inlined
+@kernel(inline="machine")
 def _turned_back(rotation, i, x, y, z):
     """Transpose of rotation[i] applied to (x, y, z)."""
     return (
@@ -62,7 +63,7 @@ def _turned_back(rotation, i, x, y, z):
     )
 
 
-@inlined
+@kernel(inline="machine")
 def _into_reference(regions, k, link_rotation, x, y, z):
     """A world vector in the axes of reference frame w of region k."""
     base = regions.base[k]
@@ -71,7 +72,7 @@ def _into_reference(regions, k, link_rotation, x, y, z):
     return _turned_back(regions.reference_rotation, k, x, y, z)
 
 
-@thin
+@kernel(inline="source")
 def _displacement(regions, k, link_rotation, link_translation):
     """End point in the world (3), then displacement of region k: position (3), rotation vector (3)."""
     link, base = regions.link[k], regions.base[k]
@@ -103,7 +104,7 @@ def _displacement(regions, k, link_rotation, link_translation):
     return end, position, vector
 
 
-@thin
+@kernel(inline="source")
 def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, linear):
     """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of joint j.
 
@@ -132,13 +133,13 @@ def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translatio
     return velocity, angular
 
 
-@inlined
+@kernel(inline="machine")
 def _pick(vector, axis):
     """Component 0, 1 or 2 of a triple."""
     return vector[0] if axis == 0 else (vector[1] if axis == 1 else vector[2])
 
 
-@inlined
+@kernel(inline="machine")
 def residual(regions, link_rotation, link_translation, out, displacement):
     """Write the residual (m,) into out; link poses come from forward_kinematics.
 
@@ -164,7 +165,7 @@ def residual(regions, link_rotation, link_translation, out, displacement):
     return square
 
 
-@thin
+@kernel(inline="source")
 def _log_map_rate(vector, factor, square, w):
     """Jl^-1(vector) w: rate of the rotation vector of a frame turning with angular velocity w."""
     dot = factor * (vector[0] * w[0] + vector[1] * w[1] + vector[2] * w[2])
@@ -176,7 +177,7 @@ def _log_map_rate(vector, factor, square, w):
     )
 
 
-@inlined
+@kernel(inline="machine")
 def jacobian(kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out):
     """Write the Jacobian (m, n) of the residual into out.
 
@@ -216,8 +217,11 @@ def jacobian(kinematics, regions, link_rotation, link_translation, displacement,
         first = last
 
 
-@driver
-def batch_residual_and_jacobian(kinematics, regions, configurations, full):
+@entry
+@kernel(allocates=True)
+def batch_residual_and_jacobian(
+    kinematics: Kinematics, regions: Regions, configurations: Annotated[np.ndarray, "count n"], full
+):
     """Residuals (b, m) and Jacobians (b, m, n) of configurations (b, n)."""
     b, n = configurations.shape
     m = regions.region.shape[0]

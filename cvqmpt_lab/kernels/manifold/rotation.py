@@ -10,7 +10,7 @@ The half-angle cotangent stays finite at t = pi, where the usual (1 + cos t) / s
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel
+from cvqmpt_lab.kernels.compiling import kernel
 
 SMALL_ANGLE = 1e-5  # [rad] below it, series are exact to double precision
 NEAR_PI = 1e-4  # [rad] above pi - NEAR_PI, the axis is read from the symmetric part
@@ -44,7 +44,7 @@ def rotation_vector(a, b, c):
     return scale * x, scale * y, scale * z
 
 
-@inlined
+@kernel(inline="machine")
 def log_map_factor(e):
     """Factor of [e]x^2 in Jl^-1(e), and |e|^2 [rad^2], of a rotation vector e."""
     square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]

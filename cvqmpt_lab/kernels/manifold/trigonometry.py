@@ -6,7 +6,7 @@ Taylor series are exact to the last bit of double precision. Good to 1e-15 for a
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined
+from cvqmpt_lab.kernels.compiling import kernel
 
 _TWO_OVER_PI = 2.0 / np.pi
 # pi / 2 as a sum of three doubles; the first two have 33 significant bits, so that k times them is exact.
@@ -19,7 +19,7 @@ _S1, _S2, _S3, _S4, _S5, _S6, _S7 = _S[1:8]
 _C2, _C3, _C4, _C5, _C6, _C7, _C8 = _C[2:9]
 
 
-@inlined
+@kernel(inline="machine")
 def sine_and_cosine(angle):
     """Return sine and cosine of an angle [rad]; not-a-number for angles that are not finite."""
     k = np.floor(angle * _TWO_OVER_PI + 0.5)

@@ -5,50 +5,52 @@ has not been found blocked. The nodes of the path it returns are projected and c
 what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.search.motion import bisect_motion, distance
-from cvqmpt_lab.kernels.search.space_arrays import project_state, state_valid
+from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
 
 UNKNOWN, FREE, BLOCKED = range(3)
 NO_PATH = 0  # instead of a number of states
-FARTHEST = (
-    np.inf
-)  # [rad] a motion on the manifold may be this long; its neighbours' distance is limited anyway
+FARTHEST = np.inf  # [rad] of a motion on the manifold; its neighbours' distance is limited anyway
 
 
 class Roadmap(NamedTuple):
-    """N nodes, a start and G goals, and room for searches.
+    """N nodes, a start and G goals, and room for searches. Rows of `nodes`: N nodes, the start, G goals."""
 
-    Attributes
-    ----------
-    nodes: (N + 1 + G, n) configurations; row N is the start, the last G are goals. Projected in place.
-    neighbours: (N + 1, K) int32, nodes that a row leads to, or -1. edge: (N + 1, K) int8, verdicts.
-    goal_edge: (N + 1, G) int8, verdicts on the edges from each row to each goal; BLOCKED where there is none.
-    node: (N + 1 + G,) int8, verdicts. factor: (N + 1 + G,) >= 1, how much longer edges at a node count.
-    to_go: (N + 1 + G,) distance to the nearest goal [rad].
-    cost, parent, slot, closed: (N + 1 + G,) work of a search; heap, heap_node: (m,) its queue.
-    """
+    nodes: Annotated[np.ndarray, "rows n"]
+    """Configurations, projected in place [rad or m]."""
+    neighbours: Annotated[np.ndarray, "int32 inner links"]
+    """Nodes that a row leads to, or -1."""
+    edge: Annotated[np.ndarray, "int8 inner links"]
+    """Verdicts on those edges."""
+    goal_edge: Annotated[np.ndarray, "int8 inner goals"]
+    """Verdicts on the edges from each row to each goal; BLOCKED where there is none."""
+    node: Annotated[np.ndarray, "int8 rows"]
+    """Verdicts."""
+    factor: Annotated[np.ndarray, "rows"]
+    """>= 1, how much longer edges at a node count."""
+    to_go: Annotated[np.ndarray, "rows"]
+    """Distance to the nearest goal [rad]."""
+    cost: Annotated[np.ndarray, "rows"]
+    """From the start, in a search."""
+    parent: Annotated[np.ndarray, "int32 rows"]
+    """Row before each one."""
+    slot: Annotated[np.ndarray, "int32 rows"]
+    """Edge by which each row was reached."""
+    closed: Annotated[np.ndarray, "int8 rows"]
+    """Rows that are done."""
+    heap: Annotated[np.ndarray, "queue"]
+    """Costs in the queue."""
+    heap_node: Annotated[np.ndarray, "int32 queue"]
+    """Their rows."""
 
-    nodes: np.ndarray
-    neighbours: np.ndarray
-    edge: np.ndarray
-    goal_edge: np.ndarray
-    node: np.ndarray
-    factor: np.ndarray
-    to_go: np.ndarray
-    cost: np.ndarray
-    parent: np.ndarray
-    slot: np.ndarray
-    closed: np.ndarray
-    heap: np.ndarray
-    heap_node: np.ndarray
 
-
-@inlined
+@kernel(inline="machine")
 def _push(keys, values, size, key, value):
     """Put (key, value) into the binary heap of size entries."""
     i = size
@@ -59,7 +61,7 @@ def _push(keys, values, size, key, value):
     keys[i], values[i] = key, value
 
 
-@inlined
+@kernel(inline="machine")
 def _drop_smallest(keys, values, size):
     """Take the first of size entries out of the binary heap."""
     last = size - 1
@@ -76,11 +78,18 @@ def _drop_smallest(keys, values, size):
     keys[i], values[i] = key, value
 
 
+@entry
 @kernel
-def nearest_nodes(nodes, count, target, chosen, squares):
-    """Write the indices of the chosen.shape[0] rows nearest to target (n,) among the first count, closest first.
+def nearest_nodes(
+    nodes: Annotated[np.ndarray, "rows n"],
+    count,
+    target: Annotated[np.ndarray, "n"],
+    chosen: Annotated[np.ndarray, "int32 k"],
+    squares: Annotated[np.ndarray, "k"],
+):
+    """Write the indices of the k rows nearest to target among the first count, closest first, into chosen.
 
-    squares: (chosen.shape[0],), their squared distances.
+    squares: their squared distances.
     """
     k, found = chosen.shape[0], 0
     for i in range(count):
@@ -97,8 +106,14 @@ def nearest_nodes(nodes, count, target, chosen, squares):
         found = min(found + 1, k)
 
 
+@entry
 @kernel
-def link_query(roadmap, direct, chosen, squares):
+def link_query(
+    roadmap: Roadmap,
+    direct,
+    chosen: Annotated[np.ndarray, "int32 links"],
+    squares: Annotated[np.ndarray, "links"],
+):
     """Link the start and every goal to their chosen.shape[0] nearest nodes, the start also to its nearest goals.
 
     direct: how many goals the start may lead to at once. chosen, squares: int32 and float work arrays.
@@ -160,7 +175,7 @@ def _astar(roadmap):
     return -1
 
 
-@thin
+@kernel(inline="source")
 def _node_free(space, roadmap, i, drift):
     """Put node i on the manifold, not further than drift [rad], and check it; the verdict is kept."""
     if roadmap.node[i] == UNKNOWN:
@@ -171,7 +186,7 @@ def _node_free(space, roadmap, i, drift):
     return roadmap.node[i] == FREE
 
 
-@thin
+@kernel(inline="source")
 def _block_edge(roadmap, a, b):
     """Block the edge on which the last search came from row a to row b, and the same edge backwards."""
     slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
@@ -184,23 +199,55 @@ def _block_edge(roadmap, a, b):
             roadmap.edge[b, other] = BLOCKED
 
 
+@kernel(inline="source")
+def _join_nodes(space, roadmap, check, path, length, ends, states):
+    """Write the states of the motions along a path's nodes; their number, or NO_PATH with an edge newly blocked."""
+    n, size = roadmap.nodes.shape[1], 1
+    for j in range(n):
+        states[0, j] = roadmap.nodes[path[length - 1], j]
+    for i in range(length - 2, -1, -1):
+        a, b = path[i + 1], path[i]
+        if check:
+            added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], FARTHEST, states[size:])
+        else:
+            added = 1
+            for j in range(n):
+                states[size, j] = roadmap.nodes[b, j]
+        if added == 0:
+            _block_edge(roadmap, a, b)
+            return NO_PATH
+        size += added
+        ends[i] = size
+    return size
+
+
+@entry
 @kernel
-def search(space, roadmap, most_searches, drift, check, path, ends, states):
-    """Write the states of the shortest path found that holds, coarsely, into states (m, n).
+def search(
+    space: Space,
+    roadmap: Roadmap,
+    most_searches,
+    drift,
+    check,
+    path: Annotated[np.ndarray, "int64 longest"],
+    ends: Annotated[np.ndarray, "int64 longest"],
+    states: Annotated[np.ndarray, "room n"],
+):
+    """Write the states of the shortest path found that holds, coarsely, into states.
 
     Parameters
     ----------
     drift: nodes that projection moves further than this are left out [rad].
     check: otherwise no node and no edge is projected or checked, and the path is one of believed nodes.
-    path, ends: (p,) int64, rows of the path's nodes from goal to start, and where each edge's states end.
-    states: (m, n); motions between them are not checked yet.
+    path, ends: rows of the path's nodes from goal to start, and where each edge's states end.
+    states: motions between them are not checked yet.
 
     Returns
     -------
     Number of states, or NO_PATH when there is no path left, none within most_searches, or no room.
     Number of nodes on the last believed path. Number of searches.
     """
-    n, length = roadmap.nodes.shape[1], 0
+    length = 0
     for searched in range(most_searches):
         row, length = _astar(roadmap), 0
         while row >= 0 and length < path.shape[0]:
@@ -215,31 +262,22 @@ def search(space, roadmap, most_searches, drift, check, path, ends, states):
                 good = False
         if not good:
             continue
-        size = 1
-        for j in range(n):
-            states[0, j] = roadmap.nodes[path[length - 1], j]
-        for i in range(length - 2, -1, -1):
-            a, b = path[i + 1], path[i]
-            if check:
-                added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], FARTHEST, states[size:])
-            else:
-                added = 1
-                for j in range(n):
-                    states[size, j] = roadmap.nodes[b, j]
-            if added == 0:
-                _block_edge(roadmap, a, b)
-                good = False
-                break
-            size += added
-            ends[i] = size
-        if not good:
+        size = _join_nodes(space, roadmap, check, path, length, ends, states)
+        if size == NO_PATH:
             continue
         return size, length, searched + 1
     return NO_PATH, length, most_searches
 
 
+@entry
 @kernel
-def block_state(roadmap, path, ends, length, state):
+def block_state(
+    roadmap: Roadmap,
+    path: Annotated[np.ndarray, "int64 longest"],
+    ends: Annotated[np.ndarray, "int64 longest"],
+    length,
+    state,
+):
     """Block the edge of the path last found that the motion behind one of its states belongs to.
 
     path, ends, length: as `search` wrote and returned them.

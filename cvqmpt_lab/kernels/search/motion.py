@@ -1,16 +1,17 @@
 """Motions on the constraint manifold: one projected step, and the fine check of a finished motion."""
 
+from typing import Annotated
+
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import inlined, kernel, thin
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.manifold.regions import residual
-from cvqmpt_lab.kernels.search.space_arrays import posed_state_valid, project_state
+from cvqmpt_lab.kernels.search.space_arrays import Space, posed_state_valid, project_state
 
 STOPPED, ADVANCED, REACHED = range(3)
-DEVIATION = (
-    2.0  # OMPL's lambda: a projected step may be this much longer than planned, a motion than straight
-)
+DEVIATION = 2.0  # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
 CHORD = 6e-4  # [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the rim
 MOST_HALVINGS = 8
@@ -19,7 +20,7 @@ SLIVER = 5e-5  # [m] motions are not looked at more finely than this
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
 
-@inlined
+@kernel(inline="machine")
 def distance(a, b):
     """Euclidean distance of two configurations (n,) [rad]."""
     square = 0.0
@@ -58,8 +59,15 @@ def step_towards(space, origin, target, allowance, out):
     return REACHED if left < CLOSE else ADVANCED
 
 
+@entry
 @kernel
-def bisect_motion(space, origin, target, longest, out):
+def bisect_motion(
+    space: Space,
+    origin: Annotated[np.ndarray, "n"],
+    target: Annotated[np.ndarray, "n"],
+    longest,
+    out: Annotated[np.ndarray, "room n"],
+):
     """Join origin and target on the manifold by projected midpoints, coarse to fine, so that failure is early.
 
     Parameters
@@ -99,7 +107,7 @@ def bisect_motion(space, origin, target, longest, out):
     return pieces
 
 
-@thin
+@kernel(inline="source")
 def _place_between(space, a, b, fraction):
     """Put the state at a fraction of the straight joint motion from a to b into space.state; pose its links."""
     for j in range(a.shape[0]):
@@ -109,7 +117,7 @@ def _place_between(space, a, b, fraction):
     )
 
 
-@thin
+@kernel(inline="source")
 def _near_half_turn(space):
     """Whether a region of the state whose residual was asked last is turned by almost pi."""
     displacement = space.scratch.displacement
@@ -148,8 +156,9 @@ def chord_on_manifold(space, a, b):
     return True
 
 
+@entry
 @kernel
-def motion_free(space, a, b):
+def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
     """Whether b and the straight joint motion towards it are free of collision, every state of it.
 
     A stretch is free when the robot at its middle keeps a distance that no point of it can cover in half
@@ -187,26 +196,29 @@ def motion_free(space, a, b):
     return True
 
 
-@thin
+@kernel(inline="source")
 def segment_valid(space, a, b):
     """Whether the straight joint motion between a and b stays close to the manifold and is free."""
     return chord_on_manifold(space, a, b) and motion_free(space, a, b)
 
 
+@entry
 @kernel
-def refine_and_check(space, states, count, out):
+def refine_and_check(
+    space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "room n"]
+):
     """Copy a path into out (k, n), with projected states put in until every straight motion is short and good.
 
     Parameters
     ----------
-    states: (m, n), first count rows the path.
+    states: the path.
 
     Returns
     -------
     written: number of states in out. bad: first segment of the given path that cannot be mended or
     is not free, or -1.
     """
-    n = states.shape[1]
+    count, n = states.shape
     for j in range(n):
         out[0, j] = states[0, j]
     written, i = 1, 1

@@ -1,7 +1,13 @@
 """Shortcutting on the constraint manifold: the simplification that every planner's path goes through."""
 
-from cvqmpt_lab.kernels.compiling import kernel, thin
+from typing import Annotated
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.search.motion import bisect_motion, distance, segment_valid
+from cvqmpt_lab.kernels.search.space_arrays import Space
 
 KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
 
@@ -45,7 +51,7 @@ def _replace(states, count, a, b, detour, size):
     return count + shift
 
 
-@thin
+@kernel(inline="source")
 def _shorter_motion(space, states, a, b, detour):
     """Write a direct, free motion from states[a] to states[b] into detour if it is shorter; its size or 0."""
     if b - a < 2:
@@ -62,8 +68,15 @@ def _shorter_motion(space, states, a, b, detour):
     return size
 
 
+@entry
 @kernel
-def shortcut(space, states, count, picks, detour):
+def shortcut(
+    space: Space,
+    states: Annotated[np.ndarray, "capacity n"],
+    count,
+    picks: Annotated[np.ndarray, "tries 2"],
+    detour: Annotated[np.ndarray, "room n"],
+):
     """Try one shortcut per row of picks (m, 2), two fractions of the path's length in [0, 1].
 
     states: (capacity, n), first count rows the path, changed in place. detour: (k, n) room.

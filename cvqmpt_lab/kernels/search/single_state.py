@@ -4,11 +4,10 @@ Handing a Space of some sixty arrays to compiled code costs 10 us a call; a `Bou
 pointer to it and costs 1 us.
 """
 
-import numpy as np
 from numba import types
 from numba.experimental import structref
 
-from cvqmpt_lab.kernels.compiling import driver
+from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.manifold.regions import jacobian, residual
 from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
@@ -30,25 +29,25 @@ class BoundSpace(structref.StructRefProxy):
 structref.define_proxy(BoundSpace, _BoundSpaceType, ["space"])
 
 
-@driver
+@kernel(allocates=True)
 def bind(space):
     """Hold a Space for repeated calls (compiled, so that the constructor is cached on disk)."""
     return BoundSpace(space)
 
 
-@driver
+@kernel(allocates=True)
 def project_one(bound, q):
     """Project q (n,) in place; True on success."""
     return project_state(bound.space, q)
 
 
-@driver
+@kernel(allocates=True)
 def valid_one(bound, q):
     """Whether q (n,) is free of collision."""
     return state_valid(bound.space, q)
 
 
-@driver
+@kernel(allocates=True)
 def constraint_one(bound, q, full, out_residual, out_jacobian):
     """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
     space, scratch = bound.space, bound.space.scratch
@@ -65,9 +64,3 @@ def constraint_one(bound, q, full, out_residual, out_jacobian):
         out_residual,
         out_jacobian,
     )
-
-
-@driver
-def within_limits(q, lower, upper):
-    """Whether every entry of q (n,) lies in [lower, upper]."""
-    return bool(np.all(q >= lower) and np.all(q <= upper))

@@ -6,7 +6,7 @@ Collision is answered by the compiled checker, or, when `exact` is set, by a cal
 
 import ctypes
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -15,7 +15,8 @@ from numba.extending import intrinsic
 
 from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.kernels.compiling import kernel, thin
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, project
 from cvqmpt_lab.kernels.manifold.regions import Regions
@@ -66,42 +67,47 @@ def _call(typing_context, address):
 
 
 class Space(NamedTuple):
-    """Everything a planning kernel needs.
-
-    Attributes
-    ----------
-    tolerance: of |F| after projection; max_iterations: Newton steps per projection.
-    step: longest motion between neighbouring states [rad]; margin: kept from obstacles [m].
-    resolution: spacing of the final collision check of a motion [rad].
-    exact, check, query: use the callback, its address, and the array through which it is asked. (Were the
-        callback itself in here, numba would take half a millisecond to find out the types of a call.)
-    doubtful: (k, n) configurations that the compiled checker blocks but the meshes allow: near them a
-        state that it calls colliding is asked for again through the callback.
-    swing: (n,) no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad].
-    counters: (4,) int64, rows PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS.
-    state: (n,) work array.
-    """
+    """Everything a planning kernel needs."""
 
     kinematics: Kinematics
+    """Of the robot."""
     regions: Regions
+    """The constraint."""
     robot: RobotGeometry
+    """Convex pieces."""
     scene: SceneGeometry
+    """Obstacles."""
     tolerance: float
+    """Of |F| after projection [m, rad]."""
     max_iterations: int
+    """Newton steps per projection."""
     step: float
+    """Longest motion between neighbouring states [rad]."""
     resolution: float
+    """Spacing of the exact backend's final check of a motion [rad]."""
     margin: float
+    """Kept from obstacles [m]."""
     exact: bool
+    """Whether states are checked through the callback."""
     check: int
-    query: np.ndarray
-    doubtful: np.ndarray
-    swing: np.ndarray
-    counters: np.ndarray
-    state: np.ndarray
+    """Address of the callback. (As an object, numba would take half a millisecond a call to find its type.)"""
+    query: Annotated[np.ndarray, "n"]
+    """Through which the callback is asked."""
+    doubtful: Annotated[np.ndarray, "doubtful n"]
+    """Configurations that the compiled checker blocks but the meshes allow: near them, a state that it
+    calls colliding is asked for again through the callback.
+    """
+    swing: Annotated[np.ndarray, "n"]
+    """No point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]."""
+    counters: Annotated[np.ndarray, "int64 4"]
+    """Rows PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS."""
+    state: Annotated[np.ndarray, "n"]
+    """Work array."""
     scratch: ProjectionScratch
+    """Work arrays of projections."""
 
 
-@thin
+@kernel(inline="source")
 def project_state(space, q):
     """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
     iterations = project(
@@ -113,7 +119,7 @@ def project_state(space, q):
     return iterations >= 0
 
 
-@thin
+@kernel(inline="source")
 def _near_doubtful(space, q):
     """Whether q (n,) lies within DOUBT of a doubtful configuration."""
     for i in range(space.doubtful.shape[0]):
@@ -125,7 +131,7 @@ def _near_doubtful(space, q):
     return False
 
 
-@thin
+@kernel(inline="source")
 def posed_state_valid(space, q, clearance):
     """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact: the margin)."""
     space.counters[STATE_CHECKS] += 1
@@ -144,15 +150,18 @@ def posed_state_valid(space, q, clearance):
     return _call(space.check)
 
 
-@thin
+@kernel(inline="source")
 def state_valid(space, q):
     """Whether q (n,) is free of collision."""
     forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
     return posed_state_valid(space, q, 0.0)
 
 
+@entry
 @kernel
-def states_valid(space, configurations, out):
+def states_valid(
+    space: Space, configurations: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "bool count"]
+):
     """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
     for i in range(configurations.shape[0]):
         out[i] = state_valid(space, configurations[i])

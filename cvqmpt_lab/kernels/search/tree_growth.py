@@ -3,33 +3,32 @@
 Samples come in from outside in batches, so any distribution serves and no Python runs per state.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel, thin
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.search.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
-from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS
+from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS, Space
 
 GROWING, CONNECTED, FULL = range(3)
 REMOVED = 1e6  # [rad] where a removed node is put, so that it is never nearest
 
 
 class Trees(NamedTuple):
-    """Two trees; row 0 grows from the start, row 1 from the goals.
+    """Two trees; row 0 grows from the start, row 1 from the goals."""
 
-    Attributes
-    ----------
-    nodes: (2, capacity, n) configurations. parent: (2, capacity) int64, -1 for roots.
-    size: (2,) int64. meeting: (2,) int64, the nodes that met when CONNECTED.
-    turn: (1,) int64, which tree extends first.
-    """
-
-    nodes: np.ndarray
-    parent: np.ndarray
-    size: np.ndarray
-    meeting: np.ndarray
-    turn: np.ndarray
+    nodes: Annotated[np.ndarray, "2 capacity n"]
+    """Configurations [rad or m]."""
+    parent: Annotated[np.ndarray, "int64 2 capacity"]
+    """-1 for roots."""
+    size: Annotated[np.ndarray, "int64 2"]
+    """Nodes in each."""
+    meeting: Annotated[np.ndarray, "int64 2"]
+    """The nodes that met when CONNECTED."""
+    turn: Annotated[np.ndarray, "int64 1"]
+    """Which tree extends first."""
 
 
 @kernel
@@ -47,7 +46,7 @@ def nearest_node(nodes, size, target):
     return index
 
 
-@thin
+@kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
     """ConstrainedExtend: walk from node origin towards target (n,), adding every state to the tree.
 
@@ -77,8 +76,9 @@ def extend(space, nodes, parent, size, which, origin, target, reach):
             return node, False
 
 
+@entry
 @kernel
-def grow(space, trees, samples, first, extend_both, reach):
+def grow(space: Space, trees: Trees, samples: Annotated[np.ndarray, "count n"], first, extend_both, reach):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
     extend_both: Algorithm 3 as printed, both trees walk to the sample and are then connected;
@@ -122,8 +122,11 @@ def grow(space, trees, samples, first, extend_both, reach):
     return GROWING, samples.shape[0]
 
 
+@entry
 @kernel
-def extract_path(trees, out, origin):
+def extract_path(
+    trees: Trees, out: Annotated[np.ndarray, "room n"], origin: Annotated[np.ndarray, "int64 room 2"]
+):
     """Write the states from start root to goal root into out (k, n), and their (tree, node) into origin (k, 2).
 
     Returns
@@ -164,8 +167,9 @@ def remove_subtree(trees, which, root):
             nodes[i, 0] = REMOVED
 
 
+@entry
 @kernel
-def remove_child_of_segment(trees, origin, segment):
+def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 room 2"], segment):
     """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
     later_in_start_tree = origin[segment + 1, 0] == 0
     if later_in_start_tree:

@@ -1,0 +1,114 @@
+"""The gate between Python and compiled code: kernels believe the shapes of their arrays, so those are checked here.
+
+A kernel that Python calls is marked `entry`. Its annotations say what each array must look like, for example
+``Annotated[np.ndarray, "m n"]`` (float64) or ``Annotated[np.ndarray, "int64 2 capacity"]``; a bundle of arrays
+says so at its own fields. A letter stands for one number throughout a call (n joints), a word for one among the
+arguments or the fields of one bundle. Inside other kernels an entry is the bare kernel: the gate costs some
+microseconds a call from Python, and nothing per state.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+
+DTYPES = {name: np.dtype(name) for name in ("float64", "int64", "int32", "int8", "uint8", "bool")}
+
+
+class _Array(NamedTuple):
+    """What an array must look like."""
+
+    place: int
+    """Which argument or field it is."""
+    name: str
+    dtype: np.dtype
+    shape: tuple[int | str, ...]
+    """Numbers, or names that stand for one."""
+
+
+class _Bundle(NamedTuple):
+    """An argument or field that holds arrays of its own."""
+
+    place: int
+    name: str
+    members: tuple["_Array | _Bundle", ...]
+
+
+def entry(function: Callable) -> "Entry":
+    """Check the arrays of a kernel whenever Python calls it; see the module."""
+    return Entry(function)
+
+
+class Entry:
+    """A kernel behind its gate; arguments are given by position."""
+
+    def __init__(self, compiled: Any) -> None:
+        self.compiled = compiled
+        self._numba_type_ = compiled._numba_type_  # to compiled callers this is the kernel itself
+        hints = get_type_hints(compiled.py_func, include_extras=True)
+        names = list(inspect.signature(compiled.py_func).parameters)
+        self._expected = _expected({name: hints[name] for name in names if name in hints}, names, deep=False)
+        functools.update_wrapper(self, compiled.py_func)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel, or raise InvalidInputError that names the array at fault."""
+        _check(arguments, self._expected, {}, self.compiled.__name__)
+        return self.compiled(*arguments)
+
+
+def check_bundle(bundle: NamedTuple) -> None:
+    """InvalidInputError unless all arrays of a bundle, and of bundles in it, fit its annotations and each other."""
+    _check(bundle, _members(type(bundle), True), {}, type(bundle).__name__)
+
+
+@functools.cache
+def _members(bundle: Any, deep: bool) -> tuple[_Array | _Bundle, ...]:
+    """What the fields of a bundle must look like; deep: those of bundles in it as well."""
+    return _expected(get_type_hints(bundle, include_extras=True), list(bundle._fields), deep, nested=True)
+
+
+def _expected(
+    hints: dict[str, Any], names: list[str], deep: bool, nested: bool = False
+) -> tuple[_Array | _Bundle, ...]:
+    found: list[_Array | _Bundle] = []
+    for name, hint in hints.items():
+        place = names.index(name)
+        if hasattr(hint, "__metadata__"):
+            words = hint.__metadata__[0].split()
+            dtype = DTYPES[words.pop(0)] if words[0] in DTYPES else DTYPES["float64"]
+            shape = tuple(int(word) if word.isdigit() else word for word in words)
+            found.append(_Array(place, name, dtype, shape))
+        elif hasattr(hint, "_fields") and (deep or not nested):
+            found.append(_Bundle(place, name, _members(hint, deep)))
+    return tuple(found)
+
+
+def _check(values: tuple, expected: tuple[_Array | _Bundle, ...], sizes: dict[str, int], where: str) -> None:
+    """Compare values with what is expected of them; sizes: numbers found so far for names of dimensions."""
+    for item in expected:
+        value = values[item.place]
+        if isinstance(item, _Bundle):
+            own = {name: size for name, size in sizes.items() if len(name) == 1}
+            _check(value, item.members, own, f"{where}.{item.name}")
+            sizes.update((name, size) for name, size in own.items() if len(name) == 1)
+            continue
+        right = type(value) is np.ndarray and value.dtype == item.dtype and value.ndim == len(item.shape)
+        if right and value.flags.c_contiguous:
+            for size, name in zip(value.shape, item.shape, strict=True):
+                if size != (name if isinstance(name, int) else sizes.setdefault(name, size)):
+                    break
+            else:
+                continue
+        raise InvalidInputError(_complaint(value, item, sizes, where))
+
+
+def _complaint(value: Any, item: _Array, sizes: dict[str, int], where: str) -> str:
+    wanted = ", ".join(f"{name} = {sizes[name]}" if name in sizes else str(name) for name in item.shape)
+    if not isinstance(value, np.ndarray):
+        return f"{where}: {item.name} is a {type(value).__name__}; give an array ({wanted}) of {item.dtype}"
+    order = "" if value.flags.c_contiguous else ", not contiguous (np.ascontiguousarray cures that)"
+    return f"{where}: {item.name} has shape {value.shape} of {value.dtype}{order}; needed: ({wanted}) of {item.dtype}"

@@ -1,0 +1,131 @@
+"""The gate before the kernels: arrays of another shape or type are refused by name; nothing crashes."""
+
+import subprocess
+import sys
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import check_bundle, entry
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.kernels.search import lazy_roadmap, motion, shortcut, space_arrays, tree_growth
+from cvqmpt_lab.planning.space import ConstrainedSpace
+
+
+class Pair(NamedTuple):
+    nodes: Annotated[np.ndarray, "rows n"]
+    parent: Annotated[np.ndarray, "int64 rows"]
+
+
+@entry
+@kernel
+def first_entry(pair: Pair, q: Annotated[np.ndarray, "n"], factor):
+    return factor * pair.nodes[0, 0] + q[0]
+
+
+@kernel
+def twice_first_entry(pair, q):
+    return 2.0 * first_entry(pair, q, 1.0)
+
+
+def a_pair(rows=3, n=2, dtype=np.int64):
+    return Pair(np.ones((rows, n)), np.zeros(rows, dtype=dtype))
+
+
+def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
+    assert first_entry(a_pair(), np.ones(2), 3.0) == 4.0
+    assert twice_first_entry(a_pair(), np.ones(2)) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            (a_pair(), np.ones(3), 1.0),
+            r"first_entry: q has shape \(3,\) of float64; needed: \(n = 2\) of float64",
+        ),
+        ((a_pair(), np.ones(2, dtype=np.float32), 1.0), r"q has shape \(2,\) of float32"),
+        ((a_pair(), np.ones((1, 2)), 1.0), r"q has shape \(1, 2\)"),
+        ((a_pair(), [1.0, 1.0], 1.0), r"q is a list; give an array \(n = 2\) of float64"),
+        ((a_pair(), np.ones(4)[::2], 1.0), r"not contiguous"),
+        ((a_pair(dtype=np.int32), np.ones(2), 1.0), r"first_entry\.pair: parent .* of int32"),
+        ((Pair(np.ones((3, 2)), np.zeros(4, int)), np.ones(2), 1.0), r"parent .* needed: \(rows = 3\)"),
+    ],
+)
+def test_what_does_not_fit_is_named(arguments, message):
+    with pytest.raises(InvalidInputError, match=message):
+        first_entry(*arguments)
+
+
+def test_a_space_whose_arrays_do_not_fit_each_other_is_refused(problem, slider_arm):
+    arrays = ConstrainedSpace(problem).arrays
+    check_bundle(arrays)
+    with pytest.raises(InvalidInputError, match=r"Space.*n = 7"):
+        check_bundle(arrays._replace(state=np.zeros(4)))
+    with pytest.raises(InvalidInputError, match=r"Space"):
+        check_bundle(arrays._replace(kinematics=slider_arm.kinematics))
+
+
+SIX = np.zeros((3, 6))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda space, trees: tree_growth.grow(space.arrays, trees, SIX, 0, True, 1.0),
+        lambda space, trees: motion.bisect_motion(space.arrays, SIX[0], SIX[1], 1.0, SIX),
+        lambda space, trees: motion.motion_free(space.arrays, SIX[0], SIX[1]),
+        lambda space, trees: motion.refine_and_check(space.arrays, SIX, SIX),
+        lambda space, trees: shortcut.shortcut(space.arrays, SIX, 3, np.zeros((1, 2)), SIX),
+        lambda space, trees: space_arrays.states_valid(space.arrays, SIX, np.zeros(3, bool)),
+        lambda space, trees: link_poses(space.robot.kinematics, SIX),
+        lambda space, trees: space.valid(SIX[0]),
+        lambda space, trees: space.project(SIX[0]),
+        lambda space, trees: space.residual_and_jacobian(SIX[0]),
+        lambda space, trees: space.valid_batch(SIX),
+        lambda space, trees: space.checked_path(SIX),
+        lambda space, trees: lazy_roadmap.nearest_nodes(
+            SIX, 3, np.zeros(7), np.zeros(1, np.int32), np.zeros(1)
+        ),
+        lambda space, trees: RegionConstraint(space.robot, (upright(),)).residual(SIX),
+        lambda space, trees: RegionConstraint(space.robot, (upright(),)).project(SIX[0]),
+    ],
+)
+def test_six_joints_never_reach_a_kernel_of_seven(problem, call):
+    space = ConstrainedSpace(problem)
+    nodes = np.zeros((2, 64, 7))
+    trees = tree_growth.Trees(
+        nodes, np.zeros((2, 64), np.int64), np.ones(2, np.int64), np.zeros(2, np.int64), np.zeros(1, np.int64)
+    )
+    with pytest.raises(InvalidInputError, match=r"7|n = 6"):
+        call(space, trees)
+
+
+CRASH = """
+import numpy as np
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.loading import load_robot
+robot = load_robot({path!r}, "tool")
+try:
+    for _ in range(50):
+        RegionConstraint(robot, (upright(),)).residual(np.zeros((4000, 100)))
+except InvalidInputError as error:
+    print("refused:", error)
+"""
+
+
+def test_configurations_of_another_robot_do_not_end_the_process(slider_arm_urdf):
+    """A dictionary of other configurations once reached the kernels, which wrote past the end of their arrays."""
+    run = subprocess.run(
+        [sys.executable, "-c", CRASH.format(path=str(slider_arm_urdf))],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert run.returncode == 0, run.stderr[-500:]
+    assert run.stdout.startswith("refused: batch_residual_and_jacobian: configurations has shape (4000, 100)")
