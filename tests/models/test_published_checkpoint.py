@@ -194,7 +194,11 @@ def without(state, name):
         ("ar_model_state", lambda s: s | {"layer_norm.bias": torch.zeros(512).long()}, "bias is torch.int64"),
         ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
         ("context_state", lambda s: {"a": 1}, "not made of tensors"),
-        ("decoder_state", lambda s: s | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}, "mu.0.bias has NaN or inf"),
+        (
+            "decoder_state",
+            lambda s: s | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)},
+            "mu.0.bias has NaN or inf",
+        ),
         ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7).to_sparse()}, "mu.0.bias is sparse"),
         ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7, device="meta")}, "mu.0.bias is .*without data"),
         ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that of this model"),
