@@ -93,7 +93,7 @@ def task_report(solution: TaskSolution, planner: str) -> list[str]:
         if outcome.trajectory is not None:
             execution += outcome.trajectory.duration
             line += f", certified, {outcome.trajectory.duration:.1f} s of motion"
-        lines.append(line + (f" ({outcome.instead})" if outcome.instead else ""))
+        lines.append(line + (f" ({outcome.fallback})" if outcome.fallback else ""))
     if solution.solved:
         return [*lines, f"solved      planning {planning:.2f} s, execution {execution:.1f} s"]
     return [*lines, f"FAILED      {solution.failure}"]

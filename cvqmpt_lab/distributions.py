@@ -1,6 +1,6 @@
 """Distributions over configurations that planners sample from; always radians."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -21,10 +21,12 @@ class SamplingDistribution(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Uniform:
-    """Uniform between the joint limits lower, upper (n,)."""
+    """Uniform between the joint limits."""
 
     lower: np.ndarray
+    """(n,) [rad or m]."""
     upper: np.ndarray
+    """(n,) [rad or m]."""
     name: str = "uniform"
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -34,21 +36,33 @@ class Uniform:
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """Weighted Gaussians, optionally mixed with a uniform share (paper, eqn. sample_dist).
-
-    Attributes
-    ----------
-    means: (k, n). covariances: (k, n, n) [rad^2]. weights: (k,), summing to 1.
-    uniform: distribution mixed in, and its share in [0, 1]; without a share the mixture has no tail
-        and a planner is not probabilistically complete.
-    """
+    """Weighted Gaussians, optionally mixed with a uniform share (paper, eqn. sample_dist)."""
 
     means: np.ndarray
+    """(k, n) [rad or m]."""
     covariances: np.ndarray
+    """(k, n, n) [rad^2]."""
     weights: np.ndarray
+    """(k,), summing to 1."""
     uniform: Uniform | None = None
+    """Distribution mixed in."""
     uniform_share: float = 0.0
+    """Its share in [0, 1]; at 0 the mixture has no tail and a planner is not probabilistically complete."""
     name: str = "gaussian-mixture"
+
+    @classmethod
+    def equal(
+        cls, means: np.ndarray, covariances: np.ndarray, uniform: Uniform, uniform_share: float, name: str
+    ) -> "GaussianMixture | Uniform":
+        """Equally likely Gaussians (k, n), (k, n, n) and a uniform share; uniform alone when k is 0.
+
+        A single covariance (n, n) serves all means.
+        """
+        k = len(means)
+        if k == 0:
+            return replace(uniform, name=f"{name}: uniform")
+        covariances = np.broadcast_to(covariances, (k, *np.shape(covariances)[-2:]))
+        return cls(means, covariances, np.full(k, 1.0 / k), uniform, uniform_share, name)
 
     def __post_init__(self) -> None:
         k, n = self.means.shape

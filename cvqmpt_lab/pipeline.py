@@ -8,9 +8,12 @@ import numpy as np
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
-from cvqmpt_lab.distributions import SamplingDistribution, Uniform
-from cvqmpt_lab.planning.planner import Planner
+from cvqmpt_lab.methods.method import Method, Stages
+from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.planning.proposal import Observation
+from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.simplify import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
@@ -20,13 +23,19 @@ MAX_GOALS = 20
 
 @dataclass(frozen=True)
 class Solution:
-    """What came of a problem: the plan, its simplification, its certificate, the time each stage took [s]."""
+    """What came of a problem."""
 
     problem: PlanningProblem
+    """With its goals."""
     plan: PlanResult
-    simplified: Simplified | None
-    certificate: Certificate | None
-    goal_seconds: float
+    simplified: Simplified | None = None
+    """None without a path."""
+    certificate: Certificate | None = None
+    """Of the shortened path; None without one."""
+    goal_seconds: float = 0.0
+    """What drawing goals took [s]."""
+    observe_seconds: float = 0.0
+    """What looking at the scene took [s]; charged to nobody."""
 
     @property
     def solved(self) -> bool:
@@ -36,33 +45,58 @@ class Solution:
 
 def solve(
     problem: PlanningProblem,
-    planner: Planner,
+    method: Method | str,
     budget: Budget,
     seed: int,
-    sampler: SamplingDistribution | None = None,
+    *,
     backend: str = "compiled",
     simplification: SimplifySettings | None = None,
     clearance: bool = True,
 ) -> Solution:
-    """Sample goals, plan, simplify, certify; the same for every planner, all randomness from seed."""
+    """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed.
+
+    Raises
+    ------
+    InvalidProblemError
+        When the start or a goal collides or violates the constraint.
+    InvalidInputError
+        When the method cannot serve the problem: weights of another robot, no constraint.
+    """
+    method = planner_named(method) if isinstance(method, str) else method
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
-        nothing = PlanResult(PlanStatus.NO_GOAL, None, 0.0, Counters(), 0, "none")
-        return Solution(problem, nothing, None, None, goal_seconds)
+        return Solution(problem, no_plan(PlanStatus.NO_GOAL), goal_seconds=goal_seconds)
     check_problem(problem)
-    space = ConstrainedSpace(problem, backend)
-    sampler = sampler or Uniform(problem.robot.lower, problem.robot.upper)
-    rng = np.random.default_rng(seed)
-    plan = planner.plan(space, problem.start, problem.goals, sampler, budget, rng)
+    stages = method.stages(problem)
+    observation = _observe(stages, problem)
+    space, rng = ConstrainedSpace(problem, backend), np.random.default_rng(seed)
+
+    query = Query.of(space, budget, rng)
+    proposal = stages.predict(query, observation)
+    if stages.update is not None:
+        proposal = stages.update(query, proposal)
+    plan = search(stages.search, query, proposal)
+
     if space.doubtful:
-        plan = replace(
-            plan, detail=f"{plan.detail}; exact checks near {', '.join(space.doubtful)}".lstrip("; ")
-        )
+        exact = f"exact checks near {', '.join(space.doubtful)}"
+        plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
     if plan.path is None:
-        return Solution(problem, plan, None, None, goal_seconds)
+        return Solution(problem, plan, None, None, goal_seconds, observation.seconds)
     shorter = simplify(space, plan.path, rng, simplification)
     certificate = certify(problem, shorter.path, clearance=clearance)
-    return Solution(problem, plan, shorter, certificate, goal_seconds)
+    return Solution(problem, plan, shorter, certificate, goal_seconds, observation.seconds)
+
+
+def no_plan(status: PlanStatus) -> PlanResult:
+    """The result of a search that was never begun."""
+    return PlanResult(status, None, 0.0, Counters(), 0, "none")
+
+
+def _observe(stages: Stages, problem: PlanningProblem) -> Observation:
+    """What the method sees of the problem's world."""
+    began = time.perf_counter()
+    cloud = None if stages.observe is None else stages.observe(problem)
+    return Observation(cloud, time.perf_counter() - began)
 
 
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:

@@ -18,7 +18,7 @@ manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-pro
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +101,7 @@ class PlanningProblem:
         """("start", q), ("goal 0", q), ..."""
         return self._labelled(self.start, self.goals)
 
-    @property
+    @cached_property
     def manifold(self) -> RegionConstraint:
         """The constraint as a function F(q)."""
         return RegionConstraint(self.robot, self.constraint)

@@ -56,7 +56,7 @@ def phase_row(
     for column in SUMMED:
         values = [getattr(row, column) for row in rows if getattr(row, column) is not None]
         sums[column] = sum(values) if values else None
-    sampler = f"{last.sampler_used} ({outcome.instead})" if outcome.instead else last.sampler_used
+    sampler = f"{last.sampler_used} ({outcome.fallback})" if outcome.fallback else last.sampler_used
     return replace(
         last,
         problem=problem,

@@ -1,36 +1,131 @@
-"""The learned planners on the shipped weights, loaded once a process, and their variants for ablation."""
+"""Stages that use trained weights: the paper's planners, ours on the same dictionary, and their variants.
 
-from dataclasses import replace
+Weights, dictionaries and roadmaps are loaded once a process, before any clock starts.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.methods.controls import TrueCodes
-from cvqmpt_lab.methods.learned_birrt import LearnedBiRRT
-from cvqmpt_lab.methods.mpnet_planner import MPNetPlanner
-from cvqmpt_lab.methods.observation import CloudOf, Observer
-from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.planning.roadmap import Dictionary, RoadmapGuided, RoadmapSearch
+from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
+from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
+from cvqmpt_lab.methods.observation import Observer
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.planning.around_path import UnconstrainedPath
+from cvqmpt_lab.planning.proposal import Observation, Proposal
+from cvqmpt_lab.planning.query import Query
+from cvqmpt_lab.planning.result import Path, Timings
+from cvqmpt_lab.planning.roadmap import Roadmap
+from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
 from cvqmpt_lab.prediction.collision_head import free_probability
-from cvqmpt_lab.prediction.dictionary_gaussians import dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.prediction.configurations import robot_signature
+from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
-from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
-from cvqmpt_lab.prediction.shipped import load_shipped, load_shipped_mpnet
+from cvqmpt_lab.prediction.prediction import Prediction
+from cvqmpt_lab.prediction.predictor import AS_PUBLISHED, Predictor, PredictorSettings
+from cvqmpt_lab.prediction.shipped import shipped_model_folder
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.families import family_scene
 
+Build = Callable[[Robot, Weights], Stages]
+"""Makes the stages of a method for a robot."""
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 BELIEVED = 0.5  # P(free) below which a node is left out
-CHOSEN = {"decoding": "beam", "std_floor": 0.8, "uniform_share": 0.5}
-"""Predictor settings of the planners, chosen on the tuning environments: as predicted, the mixture is too narrow."""
+GOALS = 3  # the model is asked about so many of the nearest goals; the search gets them all
 WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
 
 
-@lru_cache(maxsize=1)
-def _checkpoint() -> Checkpoint:
-    return load_shipped(panda())
+@dataclass(frozen=True, eq=False)
+class PredictedProposal(Proposal):
+    """A proposal that remembers the codes it was made of."""
+
+    prediction: Prediction | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedCodes:
+    """CVQ-MPT (paper, Algorithm 1): codes predicted from cloud, start and goals become a mixture."""
+
+    predictor: Predictor
+
+    def __call__(self, query: Query, observation: Observation) -> PredictedProposal:
+        """Predict; the timings say what the networks took."""
+        assert observation.cloud is not None
+        goals = query.nearest_goals(GOALS)
+        prediction = self.predictor.predict(observation.cloud, query.start, goals, query.rng)
+        lost = len(prediction.unfinished)
+        detail = f"{len(prediction.codes)} codes" + (
+            f", none to {lost} of {len(goals)} goals" if lost else ""
+        )
+        return PredictedProposal(
+            self.predictor.mixture(prediction),
+            Timings(prediction.encode_seconds, prediction.predict_seconds),
+            detail,
+            fallback="" if len(prediction.codes) else "no code sequence reached a goal",
+            prediction=prediction,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MovedCodes:
+    """The update of Opt-CVQ-MPT (paper, Algorithm 2): predicted codes moved towards the constraint."""
+
+    predictor: Predictor
+    optimizer: LatentOptimizer
+
+    def __call__(self, query: Query, proposal: Proposal) -> Proposal:
+        """The mixture of the moved codes; the proposal itself where there is nothing to move or no constraint."""
+        assert isinstance(proposal, PredictedProposal) and proposal.prediction is not None
+        prediction = proposal.prediction
+        if query.space.dim == 0 or len(prediction.codes) == 0:
+            return proposal
+        moved = self.optimizer.optimize(prediction, query.space.problem.manifold, query.rng)
+        before, after = moved.g_before.mean(), moved.g_after.mean()
+        return replace(
+            proposal,
+            distribution=self.predictor.mixture(prediction, moved.z),
+            timings=replace(proposal.timings, optimize=moved.seconds),
+            detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
+        )
+
+
+# ------------------------------------------------------------------ loaded once
+
+
+@lru_cache(maxsize=4)
+def _checkpoint(weights: Weights) -> Checkpoint | MPNetCheckpoint:
+    folder = weights.model or shipped_model_folder(weights.kind)
+    return LOADERS[weights.kind](folder)
+
+
+LOADERS: dict[str, Callable[[FilePath], Checkpoint | MPNetCheckpoint]] = {
+    "vq_mpt": load_checkpoint,
+    "mpnet": load_mpnet,
+}
+
+
+def difference(weights: Weights, robot: Robot) -> str:
+    """Why weights cannot serve a robot, or ""."""
+    try:
+        _checkpoint(weights).robot.require_same(robot_signature(robot))
+    except InvalidInputError as error:
+        return str(error)
+    return ""
+
+
+def _vq_mpt(weights: Weights) -> Checkpoint:
+    checkpoint = _checkpoint(weights)
+    assert isinstance(checkpoint, Checkpoint)
+    return checkpoint
 
 
 @lru_cache(maxsize=1)
@@ -38,80 +133,135 @@ def _observer() -> Observer:
     return Observer()
 
 
+@lru_cache(maxsize=16)
+def _predictor(weights: Weights, robot: Robot, settings: PredictorSettings) -> Predictor:
+    return Predictor(_vq_mpt(weights), robot, settings)
+
+
+@lru_cache(maxsize=8)
+def _roadmap(weights: Weights, robot: Robot) -> Roadmap:
+    """The dictionary: one configuration drawn from each code's Gaussian."""
+    means, covariances = dictionary_gaussians(_vq_mpt(weights), robot)
+    nodes = drawn_nodes(means, covariances, robot, np.random.default_rng(ROADMAP_DRAW))
+    return Roadmap.of(nodes, covariances)
+
+
+# ------------------------------------------------------------------ stages by name
+
+
+def predicted(name: str, update: int | None = None, wrong: bool = False, **settings: Any) -> Build:
+    """CVQ-MPT with predictor settings; Opt-CVQ-MPT after `update` latent steps. wrong: shown another scene."""
+    return _cvq_mpt(
+        PredictorSettings(name=name, **settings),
+        None if update is None else LatentSettings(steps=update),
+        _wrong_cloud if wrong else None,
+    )
+
+
+def as_published(name: str) -> Build:
+    """CVQ-MPT as its authors' code has it."""
+    return _cvq_mpt(replace(AS_PUBLISHED, name=name))
+
+
+def _cvq_mpt(
+    settings: PredictorSettings, update: LatentSettings | None = None, observe: CloudOf | None = None
+) -> Build:
+    def build(robot: Robot, weights: Weights) -> Stages:
+        predictor = _predictor(weights, robot, settings)
+        moved = None if update is None else MovedCodes(predictor, LatentOptimizer(predictor, update))
+        return Stages(predict=PredictedCodes(predictor), observe=observe or _observer(), update=moved)
+
+    return build
+
+
 def _wrong_cloud(problem: PlanningProblem) -> np.ndarray:
     """The cloud of another scene."""
     return _observer()(replace(problem, scene=family_scene(*WRONG_SCENE)))
 
 
-@lru_cache(maxsize=8)
-def _predictor(settings: PredictorSettings) -> Predictor:
-    return Predictor(_checkpoint(), panda(), settings)
-
-
-def learned_birrt(
-    name: str,
-    update: LatentSettings | None = None,
-    cloud_of: CloudOf | None = None,
-    **settings: object,
-) -> LearnedBiRRT:
-    """CVQ-MPT with predictor settings of its own; Opt-CVQ-MPT with the update's."""
-    predictor = _predictor(PredictorSettings(name=name, **{**CHOSEN, **settings}))  # type: ignore[arg-type]
-    optimizer = None if update is None else LatentOptimizer(predictor, update)
-    return LearnedBiRRT(predictor, cloud_of or _observer(), optimizer, name=name)
-
-
-def wrong_cloud(name: str) -> LearnedBiRRT:
-    """CVQ-MPT that is shown another scene."""
-    return learned_birrt(name, cloud_of=_wrong_cloud)
-
-
-def true_codes() -> TrueCodes:
-    """The codes of an unconstrained path instead of predicted ones."""
-    return TrueCodes(_predictor(PredictorSettings(**CHOSEN)))  # type: ignore[arg-type]
-
-
-@lru_cache(maxsize=1)
-def _dictionary() -> Dictionary:
-    robot = panda()
-    means, covariances = dictionary_gaussians(_checkpoint(), robot)
-    return Dictionary.of(
-        drawn_nodes(means, covariances, robot, np.random.default_rng(ROADMAP_DRAW)), covariances
-    )
-
-
-def roadmap_cvq() -> RoadmapSearch:
+def roadmap_path(robot: Robot, weights: Weights) -> Stages:
     """The dictionary, projected on the manifold node by node, searched for a path."""
-    return RoadmapSearch(_dictionary())
+    return Stages(predict=RoadmapPath(_roadmap(weights, robot)))
 
 
-def roadmap_sampler(name: str, check: bool, head: bool = False, update: bool = False) -> RoadmapGuided:
+def roadmap_mixture(name: str, check: bool, head: bool = False, update: bool = False) -> Build:
     """Unconstrained roadmap paths as a sampling distribution; without checks, the blind twin.
 
     head: nodes that the model believes blocked are left out. update: the codes are moved to the manifold.
     """
-    blocked, move = _believed_blocked if head else None, _moved if update else None
-    return RoadmapGuided(_dictionary(), name, check, blocked=blocked, move=move)
+
+    def build(robot: Robot, weights: Weights) -> Stages:
+        roadmap = _roadmap(weights, robot)
+        return Stages(
+            predict=RoadmapMixture(
+                roadmap,
+                name,
+                check,
+                blocked=believed_blocked(weights, roadmap) if head else None,
+                move=moved_to_manifold(weights) if update else None,
+            ),
+            observe=_observer() if head else None,
+        )
+
+    return build
 
 
-def _believed_blocked(problem: PlanningProblem) -> np.ndarray:
-    """Nodes (N,) of the dictionary that the collision head calls blocked, from the cloud."""
-    return free_probability(_checkpoint(), panda(), _observer()(problem), _dictionary().nodes) < BELIEVED
+def believed_blocked(weights: Weights, roadmap: Roadmap) -> Callable[[Query, Observation], np.ndarray]:
+    """Tells which nodes (N,) bool the collision head calls blocked, from the cloud."""
+
+    def blocked(query: Query, observation: Observation) -> np.ndarray:
+        assert observation.cloud is not None
+        free = free_probability(_vq_mpt(weights), query.space.robot, observation.cloud, roadmap.nodes)
+        return free < BELIEVED
+
+    return blocked
 
 
-def _moved(
-    problem: PlanningProblem, codes: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gaussians of codes (r,) after the latent update towards the problem's constraint."""
-    predictor = _predictor(PredictorSettings())
-    z = predictor.checkpoint.dictionary.quantizer.embedding.weight.detach().numpy()[codes]
-    constraint = RegionConstraint(problem.robot, tuple(problem.constraint))
-    moved = LatentOptimizer(predictor).optimize_codes(z, None, constraint, rng)
-    gaussians, model = predictor.decoder.decode(moved.z, None), predictor.configurations
-    means = model.radians(gaussians.mean.astype(float))
-    return means, gaussians.covariance * np.outer(model.range, model.range)
+def moved_to_manifold(weights: Weights) -> Callable[[Query, np.ndarray], Gaussians]:
+    """Gives Gaussians of codes (r,) after the latent update towards the query's constraint."""
+
+    def move(query: Query, codes: np.ndarray) -> Gaussians:
+        predictor = _predictor(weights, query.space.robot, PredictorSettings())
+        z = predictor.checkpoint.dictionary.quantizer.embedding.weight.detach().numpy()[codes]
+        moved = LatentOptimizer(predictor).optimize_codes(z, None, query.space.problem.manifold, query.rng)
+        gaussians, model = predictor.decoder.decode(moved.z, None), predictor.configurations
+        means = model.radians(gaussians.mean.astype(float))
+        return Gaussians(means, gaussians.covariance * np.outer(model.range, model.range))
+
+    return move
 
 
-@lru_cache(maxsize=1)
-def mpnet() -> MPNetPlanner:
-    """MPNet on the shipped weights."""
-    return MPNetPlanner(load_shipped_mpnet(panda()))
+def true_codes(name: str) -> Build:
+    """The codes of an unconstrained path of the very problem: a model that never errs."""
+
+    def build(robot: Robot, weights: Weights) -> Stages:
+        means, covariances = dictionary_gaussians(_vq_mpt(weights), robot)
+        share = PredictorSettings().uniform_share
+
+        def suggest(query: Query, path: Path) -> SamplingDistribution:
+            codes = np.unique(codes_of(_vq_mpt(weights), robot, path.spaced(0.2)))
+            return GaussianMixture.equal(means[codes], covariances[codes], query.uniform, share, name)
+
+        return Stages(predict=UnconstrainedPath(suggest))
+
+    return build
+
+
+def mpnet(robot: Robot, weights: Weights) -> Stages:
+    """MPNet's rollouts."""
+    checkpoint = _checkpoint(weights)
+    assert isinstance(checkpoint, MPNetCheckpoint)
+    seen = CameraSettings.like_training(checkpoint.network.config.n_points)
+    return Stages(predict=_rollouts(weights), observe=_mpnet_observer(seen))
+
+
+@lru_cache(maxsize=4)
+def _rollouts(weights: Weights) -> MPNetRollouts:
+    checkpoint = _checkpoint(weights)
+    assert isinstance(checkpoint, MPNetCheckpoint)
+    return MPNetRollouts(checkpoint)
+
+
+@lru_cache(maxsize=4)
+def _mpnet_observer(settings: CameraSettings) -> Observer:
+    return Observer(settings)

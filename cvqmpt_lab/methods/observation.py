@@ -1,7 +1,6 @@
 """The point cloud that a planner with a network is given of a problem."""
 
 from collections import OrderedDict
-from collections.abc import Callable
 
 import numpy as np
 
@@ -10,12 +9,9 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.scene import Scene
 
-CloudOf = Callable[[PlanningProblem], np.ndarray]
-"""Gives the cloud (m, 3) [m, robot base frame] of a problem; `Observer` is one."""
-
 
 class Observer:
-    """Virtual cameras that look at the problem's scene; the same scene gives the same cloud.
+    """Virtual cameras that look at a problem's scene; the same scene gives the same cloud.
 
     Casting rays takes a second, a camera's cloud nothing: planners look before their clock starts, and scenes
     seen lately are remembered.

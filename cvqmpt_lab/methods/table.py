@@ -1,93 +1,96 @@
-"""The planners by name: the columns of the paper's tables, ours, and controls that isolate one part each."""
+"""The methods by name: the columns of the paper's tables, ours, and controls that isolate one part each."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from pathlib import Path
+from types import ModuleType
 
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.planning.guided import GuidedBiRRT
-from cvqmpt_lab.planning.planner import Planner
+from cvqmpt_lab.methods.method import Method, Stages, Weights, names_with_weights
+from cvqmpt_lab.planning.around_path import AroundPath, StraightLine, UnconstrainedPath
+from cvqmpt_lab.robot.robot import Robot
 
 
-def _ompl(name: str, manifold: str) -> Callable[[], Planner]:
-    def make() -> Planner:
-        from cvqmpt_lab.planning.ompl_planners import OmplPlanner  # ompl takes 0.3 s to import
+def _ompl(name: str, manifold: str) -> Method:
+    def build(robot: Robot, weights: Weights | None) -> Stages:
+        from cvqmpt_lab.planning.ompl_planners import OmplSearch  # ompl takes 0.3 s to import
 
-        return OmplPlanner(name, manifold)
+        return Stages(search=OmplSearch(manifold))
 
-    return make
+    return Method(name, build, needs_constraint=True)
 
 
-def _learned(maker: str, *arguments: object, **settings: object) -> Callable[[], Planner]:
-    def make() -> Planner:
+def _learned(name: str, of: Callable[[ModuleType], Callable[..., Stages]], kind: str = "vq_mpt") -> Method:
+    """A method whose builder is looked up in the module of learned stages when it is first used."""
+
+    def build(robot: Robot, weights: Weights | None) -> Stages:
         from cvqmpt_lab.methods import learned  # torch takes 2 s to import
 
-        return getattr(learned, maker)(*arguments, **settings)
+        return of(learned)(robot, weights)
 
-    return make
-
-
-def _updated(name: str, steps: int = 5) -> Callable[[], Planner]:
-    def make() -> Planner:
-        from cvqmpt_lab.methods.learned import learned_birrt
-        from cvqmpt_lab.prediction.latent_optimizer import LatentSettings
-
-        return learned_birrt(name, update=LatentSettings(steps=steps))
-
-    return make
+    return Method(name, build, Weights(kind))
 
 
-def _straight_line(name: str, uniform_share: float) -> Planner:
-    from cvqmpt_lab.methods.controls import StraightLine
+def _cvq(name: str, update: int | None = None, wrong: bool = False, **settings: object) -> Method:
+    """CVQ-MPT with predictor settings of its own; Opt-CVQ-MPT after `update` steps."""
+    return _learned(name, lambda learned: learned.predicted(name, update, wrong, **settings))
 
-    return StraightLine(name, uniform_share)
+
+def _roadmap_mixture(name: str, **options: bool) -> Method:
+    return _learned(name, lambda learned: learned.roadmap_mixture(name, **options))
 
 
-PLANNERS: Mapping[str, Callable[[], Planner]] = {
-    "birrt": BiRRT,
-    "guided-birrt": GuidedBiRRT,
-    "ompl-projected": _ompl("ompl-projected", "projected"),
-    "atlas-rrt": _ompl("atlas-rrt", "atlas"),
-    "tb-rrt": _ompl("tb-rrt", "tangent-bundle"),
-    "mpnet": _learned("mpnet"),
-    "cvq-mpt": _learned("learned_birrt", "cvq-mpt"),
-    "opt-cvq-mpt": _updated("opt-cvq-mpt"),
-    "roadmap-cvq": _learned("roadmap_cvq"),
-}
+def _straight_line(name: str, uniform_share: float) -> Method:
+    return Method.simple(name, predict=StraightLine(AroundPath(name, uniform_share=uniform_share)))
 
-CONTROLS: Mapping[str, Callable[[], Planner]] = {
-    "straight-line": partial(_straight_line, "straight-line", 0.15),
-    "straight-line-only": partial(_straight_line, "straight-line-only", 0.0),
-    "roadmap-sampler": _learned("roadmap_sampler", "roadmap-sampler", check=True),
-    "roadmap-blind": _learned("roadmap_sampler", "roadmap-blind", check=False),
-    "roadmap-head": _learned("roadmap_sampler", "roadmap-head", check=False, head=True),
-    "roadmap-update": _learned("roadmap_sampler", "roadmap-update", check=True, update=True),
-    "true-codes": _learned("true_codes"),
-    "cvq-wrong-cloud": _learned("wrong_cloud", "cvq-wrong-cloud"),
-    "cvq-union": _learned("learned_birrt", "cvq-union", decoding="sampled"),
-    "cvq-as-predicted": _learned("learned_birrt", "cvq-as-predicted", std_floor=None, uniform_share=0.0),
-    "cvq-no-goal-gaussian": _learned("learned_birrt", "cvq-no-goal-gaussian", goal_gaussian=False),
-    "cvq-no-uniform": _learned("learned_birrt", "cvq-no-uniform", uniform_share=0.0),
-    "opt-1-step": _updated("opt-1-step", 1),
-    "opt-20-steps": _updated("opt-20-steps", 20),
-}
 
-WITHOUT_WEIGHTS = frozenset(
-    {
-        "birrt",
-        "guided-birrt",
-        "ompl-projected",
-        "atlas-rrt",
-        "tb-rrt",
-        "straight-line",
-        "straight-line-only",
-    }
+def _by_name(*methods: Method) -> Mapping[str, Method]:
+    return {method.name: method for method in methods}
+
+
+PLANNERS = _by_name(
+    Method.simple("birrt"),
+    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide").mixture)),
+    _ompl("ompl-projected", "projected"),
+    _ompl("atlas-rrt", "atlas"),
+    _ompl("tb-rrt", "tangent-bundle"),
+    _learned("mpnet", lambda learned: learned.mpnet, "mpnet"),
+    _cvq("cvq-mpt"),
+    _cvq("opt-cvq-mpt", update=5),
+    _learned("roadmap-cvq", lambda learned: learned.roadmap_path),
 )
 
+CONTROLS = _by_name(
+    _straight_line("straight-line", 0.15),
+    _straight_line("straight-line-only", 0.0),
+    _roadmap_mixture("roadmap-sampler", check=True),
+    _roadmap_mixture("roadmap-blind", check=False),
+    _roadmap_mixture("roadmap-head", check=False, head=True),
+    _roadmap_mixture("roadmap-update", check=True, update=True),
+    _learned("true-codes", lambda learned: learned.true_codes("true-codes")),
+    _cvq("cvq-wrong-cloud", wrong=True),
+    _cvq("cvq-union", decoding="sampled"),
+    _cvq("cvq-as-predicted", std_floor=None, uniform_share=0.0),
+    _learned("cvq-as-published", lambda learned: learned.as_published("cvq-as-published")),
+    _cvq("cvq-no-goal-gaussian", goal_gaussian=False),
+    _cvq("cvq-no-uniform", uniform_share=0.0),
+    _cvq("opt-1-step", update=1),
+    _cvq("opt-20-steps", update=20),
+)
 
-def planner_named(name: str) -> Planner:
-    """The planner or control of that name; UnknownChoiceError lists the names."""
-    for table in (PLANNERS, CONTROLS):
-        if name in table:
-            return table[name]()
-    raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS])
+WITHOUT_WEIGHTS = frozenset({*PLANNERS, *CONTROLS}) - names_with_weights({**PLANNERS, **CONTROLS})
+
+
+def planner_named(name: str, model: Path | None = None) -> Method:
+    """The planner or control of that name, on the weights of a folder or the shipped ones.
+
+    Raises
+    ------
+    UnknownChoiceError
+        Listing the names.
+    InvalidInputError
+        When a model is given to a method without weights.
+    """
+    found = PLANNERS.get(name) or CONTROLS.get(name)
+    if found is None:
+        raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS])
+    return found if model is None else found.with_model(model)

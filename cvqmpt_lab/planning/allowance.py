@@ -4,7 +4,7 @@ import math
 import time
 
 from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS
-from cvqmpt_lab.planning.result import Budget, PlanResult, PlanStatus
+from cvqmpt_lab.planning.result import Budget, Counters, Path, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 LEAST_SECONDS = 1e-3
@@ -53,8 +53,11 @@ class Allowance:
         """What is left of the budget; ask `spent` first."""
         return self.part(1.0)
 
-    def ended(self, status: PlanStatus, sampler: str, detail: str = "") -> PlanResult:
-        """The result of a run that stops here without a path."""
-        return PlanResult(
-            status, None, self.seconds, self._space.counters_since(self._counters), 1, sampler, detail=detail
-        )
+    @property
+    def counters(self) -> Counters:
+        """Work done so far."""
+        return self._space.counters_since(self._counters)
+
+    def ended(self, status: PlanStatus, sampler: str, path: Path | None = None) -> PlanResult:
+        """The result of a run that stops here, without a tree."""
+        return PlanResult(status, path, self.seconds, self.counters, 0, sampler)

@@ -32,21 +32,20 @@ class BiRRT:
         environments, see docs/performance.md.
     """
 
-    name: str = "birrt"
     extend_both: bool = True
     step: float = 0.15
     reach: float = 1.0
 
-    def plan(
+    def search(
         self,
         space: ConstrainedSpace,
         start: np.ndarray,
         goals: np.ndarray,
-        sampler: SamplingDistribution,
+        distribution: SamplingDistribution,
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Planner`."""
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
         began = time.perf_counter()
         before = space.counters
         trees = _plant(start, goals)
@@ -59,7 +58,7 @@ class BiRRT:
             if count <= 0:
                 status = PlanStatus.ITERATION_LIMIT
                 break
-            samples = sampler.sample(rng, count)
+            samples = distribution.sample(rng, count)
             trees, path = self._use(space, trees, samples)
             used, batch = used + count, min(2 * batch, LARGEST_BATCH)
         return PlanResult(
@@ -68,7 +67,7 @@ class BiRRT:
             seconds=time.perf_counter() - began,
             counters=space.counters_since(before),
             vertices=int(trees.size.sum()),
-            sampler=sampler.name,
+            sampler=distribution.name,
             trees=tuple(
                 Tree(trees.nodes[k, :size], trees.parent[k, :size]) for k, size in enumerate(trees.size)
             ),

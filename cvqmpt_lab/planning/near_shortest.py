@@ -65,14 +65,14 @@ def near_shortest(
 ) -> Path | None:
     """The shortest free path (on the manifold) found from start to goal (n,), or None when none was found."""
     settings = settings or NearShortestSettings()
-    planner, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
+    trees, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
     best: Path | None = None
     tries = 0
     while tries < (settings.restarts + 1 if best else 2):
         tries += 1
         sampler = Spheroid(start, goal, best.length, lower, upper) if best else Uniform(lower, upper)
         budget = Budget(iterations=settings.later if best else settings.first)
-        path = planner.plan(space, start, goal[None], sampler, budget, rng).path
+        path = trees.search(space, start, goal[None], sampler, budget, rng).path
         if path is not None:
             path = simplify(space, path, rng).path
             best = path if best is None or path.length < best.length else best

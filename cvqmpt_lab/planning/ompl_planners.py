@@ -15,7 +15,7 @@ from ompl import util as ou
 
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS, NEWTON_ITERATIONS
-from cvqmpt_lab.planning.result import Budget, Counters, Path, PlanResult, PlanStatus
+from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
@@ -51,52 +51,42 @@ class _Manifold(ob.Constraint):
 
 
 @dataclass(frozen=True)
-class OmplPlanner:
+class OmplSearch:
     """RRTConnect on one of OMPL's constrained state spaces.
 
-    Attributes
-    ----------
-    manifold: "projected", "atlas" or "tangent-bundle".
-
-    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `plan` is not used: the result
+    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `search` is not used: the result
     says which one was.
     """
 
-    name: str
     manifold: str
+    """"projected", "atlas" or "tangent-bundle"."""
 
-    def plan(
+    def search(
         self,
         space: ConstrainedSpace,
         start: np.ndarray,
         goals: np.ndarray,
-        sampler: SamplingDistribution,
+        distribution: SamplingDistribution,
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Planner`."""
-        if space.dim == 0:
-            return _failure(PlanStatus.PLANNER_ERROR, "OMPL's constrained spaces need a constraint")
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
         began = time.perf_counter()
         before = space.counters
         ou.RNG.setSeed(int(rng.integers(1, 2**31)))
-        search = _Search(self.manifold, space, start, goals)
-        status, path = search.run(budget, began)
+        run = _Run(self.manifold, space, start, goals)
+        status, path = run.run(budget, began)
         return PlanResult(
             status=status,
             path=path,
             seconds=time.perf_counter() - began,
             counters=space.counters_since(before),
-            vertices=search.vertices,
+            vertices=run.vertices,
             sampler="atlas-charts" if self.manifold != "projected" else "uniform",
         )
 
 
-def _failure(status: PlanStatus, detail: str) -> PlanResult:
-    return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
-
-
-class _Search:
+class _Run:
     """The OMPL objects of one planning run."""
 
     def __init__(self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray) -> None:

@@ -12,34 +12,37 @@ from cvqmpt_lab.prediction.code_decoder import Refinement
 class Prediction:
     """Code sequences to each of k goals, and the c codes of their union with their Gaussians.
 
-    A goal's codes are the distinct ones of its finished sequences, likeliest sequence first.
-
-    Attributes
-    ----------
-    start, goals: (n,), (k, n) [rad or m].
-    sequences: of each goal, finished or not.
-    codes, goal_of: (c,) int64, indices into the dictionary, and the goal each one is for.
-    z: (c, code_dim), their vectors of unit length; what the latent optimizer moves.
-    refinement: what the model adds to each code's Gaussian; None when it has no refinement head.
-    mean_u, covariance_u: (c, n), (c, n, n), normalised joints.
-    means, covariances: (c, n) [rad], (c, n, n) [rad^2].
-    encode_seconds, predict_seconds: cloud to tokens, tokens to Gaussians. cached: the scene was known.
+    A goal's codes are those of its finished sequences, likeliest sequence first.
     """
 
     start: np.ndarray
+    """(n,) [rad or m]."""
     goals: np.ndarray
+    """(k, n) [rad or m]."""
     sequences: tuple[tuple[CodeSequence, ...], ...]
+    """Of each goal, finished or not."""
     codes: np.ndarray
+    """(c,) int64, indices into the dictionary."""
     goal_of: np.ndarray
+    """(c,) int64, the goal each code is for."""
     z: np.ndarray
+    """(c, code_dim), the codes' vectors of unit length; what the latent optimizer moves."""
     refinement: Refinement | None
+    """What the model adds to each code's Gaussian; None when it has no refinement head."""
     mean_u: np.ndarray
+    """(c, n), normalised joints."""
     covariance_u: np.ndarray
+    """(c, n, n), normalised joints."""
     means: np.ndarray
+    """(c, n) [rad]."""
     covariances: np.ndarray
+    """(c, n, n) [rad^2]."""
     encode_seconds: float
+    """From the cloud to tokens."""
     predict_seconds: float
+    """From tokens to Gaussians."""
     cached: bool
+    """Whether the scene was known."""
 
     @property
     def unfinished(self) -> tuple[int, ...]:
@@ -51,34 +54,36 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class CodeUnion:
-    """Distinct codes of each goal's finished sequences, and where each was found first.
-
-    codes, goal_of, sequence, place: (c,) int64. padded: (s, t) int64, the sequences that are used;
-    goal_of_sequence: (s,).
-    """
+    """Codes of each goal's finished sequences, and where each was found."""
 
     codes: np.ndarray
+    """(c,) int64."""
     goal_of: np.ndarray
+    """(c,) int64, the goal each code is for."""
     sequence: np.ndarray
+    """(c,) int64, the row of `padded` it was found in ..."""
     place: np.ndarray
+    """(c,) int64, ... and its place there."""
     padded: np.ndarray
+    """(s, t) int64, the sequences that are used."""
     goal_of_sequence: np.ndarray
+    """(s,) int64."""
 
     @classmethod
-    def of(cls, sequences: tuple[tuple[CodeSequence, ...], ...]) -> "CodeUnion":
-        """The union for each goal, its likeliest sequence first."""
+    def of(cls, sequences: tuple[tuple[CodeSequence, ...], ...], repeated: bool = False) -> "CodeUnion":
+        """The union for each goal, its likeliest sequence first; repeated codes count once unless `repeated`."""
         entries: list[tuple[int, int, int, int]] = []
         used: list[tuple[int, tuple[int, ...]]] = []
         for goal, found in enumerate(sequences):
             seen: set[int] = set()
             finished = [one for one in found if one.finished]
             for one in sorted(finished, key=lambda sequence: -sequence.log_probability):
-                count = len(seen)
+                count = len(entries)
                 for spot, key in enumerate(one.codes):
-                    if key not in seen:
+                    if repeated or key not in seen:
                         seen.add(key)
                         entries.append((key, goal, len(used), spot))
-                if len(seen) > count:
+                if len(entries) > count:
                     used.append((goal, one.codes))
         padded = np.zeros((len(used), max((len(codes) for _, codes in used), default=0)), dtype=np.int64)
         for row, (_, codes) in enumerate(used):

@@ -37,30 +37,33 @@ Decoding = Literal["beam", "sampled"]
 class PredictorSettings:
     """How sequences are decoded and what the mixture is made of.
 
-    Attributes
-    ----------
-    decoding: ``beam``, one sequence per goal, or ``sampled``, the union of several.
-    beams: K of the paper's eqn. prob_eqn. scoring: what beams are ranked by, see `beam_search`.
-    sequences, temperature: how many sampled sequences per goal, and how boldly.
-    max_length: tokens predicted at most, the goal token included; None for the model's own length.
-    goal_gaussian: also a Gaussian of 10 % of each joint's range around every goal (published code; the paper
-        has none).
-    uniform_share: share of samples drawn uniformly between the joint limits; 0 leaves the mixture without a
-        tail.
-    std_floor: Gaussians are widened until no direction is narrower than this [rad]; None to leave them.
-    scenes: how many encoded clouds are kept.
+    Defaults were chosen on the tuning environments; the authors' are `AS_PUBLISHED`.
     """
 
-    decoding: Decoding = "sampled"
+    decoding: Decoding = "beam"
+    """``beam``, one sequence per goal, or ``sampled``, the union of several."""
     beams: int = 3
+    """K of the paper's eqn. prob_eqn."""
     scoring: Scoring = "log-probability"
+    """What beams are ranked by, see `beam_search`."""
     sequences: int = 8
+    """Sampled sequences per goal."""
     temperature: float = 1.0
+    """How boldly they are sampled."""
     max_length: int | None = None
+    """Tokens predicted at most, the goal token included; None for the model's own length."""
     goal_gaussian: bool = True
-    uniform_share: float = 0.15
-    std_floor: float | None = None
+    """Also a Gaussian of 10 % of each joint's range around every goal (published code; the paper has none)."""
+    repeated_codes: bool = False
+    """A code that a goal's sequences hold several times counts as often in the mixture (published code)."""
+    uniform_share: float = 0.5
+    """Of samples drawn uniformly between the joint limits; 0 leaves the mixture without a tail."""
+    uniform_without_codes: bool = False
+    """Sample uniformly when no sequence reaches a goal (published code), else around the goals alone."""
+    std_floor: float | None = 0.8
+    """Gaussians are widened until no direction is narrower than this [rad]; None to leave them."""
     scenes: int = 8
+    """How many encoded clouds are kept."""
     name: str = "cvq-mpt"
 
     def __post_init__(self) -> None:
@@ -78,13 +81,26 @@ class PredictorSettings:
             )
 
 
+AS_PUBLISHED = PredictorSettings(
+    scoring="published",
+    repeated_codes=True,
+    uniform_share=0.0,
+    uniform_without_codes=True,
+    std_floor=None,
+    name="cvq-as-published",
+)
+"""What the authors' code does."""
+
+
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
-    """A cloud as the model sees it. cached: it was encoded before; seconds: what encoding took this time."""
+    """A cloud as the model sees it."""
 
     scene: CompactScene | PublishedScene
     cached: bool
+    """Whether it was encoded before."""
     seconds: float
+    """What encoding took this time."""
 
 
 class Predictor:
@@ -153,7 +169,7 @@ class Predictor:
         ends = torch.from_numpy(self.configurations.of(np.vstack((start[None], goals))))
         starts, ends = ends[:1].expand(len(goals), -1), ends[1:]
         sequences = self._decode(self._step_decoder(encoded.scene, starts, ends), rng)
-        union = CodeUnion.of(sequences)
+        union = CodeUnion.of(sequences, self.settings.repeated_codes)
         refinement = self._refinement(encoded.scene, starts, ends, union)
         z = self._vectors[union.codes]
         gaussians = self.decoder.decode(z, refinement)
@@ -176,11 +192,10 @@ class Predictor:
             cached=encoded.cached,
         )
 
-    def mixture(self, prediction: Prediction, z: np.ndarray | None = None) -> GaussianMixture:
-        """The distribution to sample from, all Gaussians equally likely.
+    def mixture(self, prediction: Prediction, z: np.ndarray | None = None) -> GaussianMixture | Uniform:
+        """The distribution to sample from, all Gaussians equally likely; uniform when there is none.
 
-        Goals that no sequence reached bring no Gaussian but their own; the name says how many, as in
-        ``cvq-mpt(unfinished 3 of 20)``. Should there be no Gaussian at all, everything is drawn uniformly.
+        Goals that no sequence reached bring no Gaussian but their own.
 
         Parameters
         ----------
@@ -196,18 +211,12 @@ class Predictor:
             means = self.configurations.radians(gaussians.mean.astype(np.float64))
             covariances = gaussians.covariance * span * span[:, None]
         covariances = _widened(covariances, max(settings.std_floor or 0.0, SMALLEST_STD))
-        uniform_share, lost = settings.uniform_share, len(prediction.unfinished)
-        is_empty = len(means) == 0 and not settings.goal_gaussian
-        if settings.goal_gaussian or is_empty:
+        if settings.goal_gaussian and not (settings.uniform_without_codes and len(means) == 0):
             goals = prediction.goals
             around = np.broadcast_to(np.diag((GOAL_STD * span) ** 2), (len(goals), len(span), len(span)))
             means, covariances = np.concatenate((means, goals)), np.concatenate((covariances, around))
-        if is_empty:  # a mixture needs a component, which is then never drawn
-            uniform_share = 1.0
-        name = f"{settings.name}(unfinished {lost} of {len(prediction.goals)})" if lost else settings.name
-        weights = np.full(len(means), 1.0 / len(means))
         uniform = Uniform(self.robot.lower, self.robot.upper)
-        return GaussianMixture(means, covariances, weights, uniform, uniform_share, name)
+        return GaussianMixture.equal(means, covariances, uniform, settings.uniform_share, settings.name)
 
     def _step_decoder(
         self, scene: CompactScene | PublishedScene, starts: torch.Tensor, goals: torch.Tensor

@@ -10,46 +10,38 @@ project's own; the cloud's encoding is paid for.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.observation import CloudOf, Observer
 from cvqmpt_lab.models.mpnet.inference import MPNetInference
 from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
-from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.direct_motion import direct_motion
-from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus, Timings
-from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.prediction.configurations import robot_signature
+from cvqmpt_lab.planning.proposal import Observation, Proposal
+from cvqmpt_lab.planning.query import Query
+from cvqmpt_lab.planning.result import Path, PlanStatus, Timings
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cameras import CameraSettings
 
 
 @dataclass(frozen=True, kw_only=True)
 class MPNetSettings:
-    """How rollouts are made.
-
-    Attributes
-    ----------
-    rollouts: tried before giving up. Goals take turns, the nearest first. predictions: states of one rollout.
-    attempts: proposals tested for one state before its rollout is given up.
-    dropout: leave dropout on, as published; without it every attempt is the same, so there is one.
-    bridge: join the sides by tree growth if they have not met after all predictions; otherwise such a rollout
-        is given up.
-    share: of the whole budget, that joining two neighbouring states may take.
-    """
+    """How rollouts are made."""
 
     rollouts: int = 10
+    """Tried before giving up; goals take turns, the nearest first."""
     predictions: int = 10
+    """States of one rollout."""
     attempts: int = 32
+    """Proposals tested for one state before its rollout is given up."""
     dropout: bool = True
+    """Leave dropout on, as published; without it every attempt is the same, so there is one."""
     bridge: bool = True
+    """Join the sides by tree growth if they have not met after all predictions; otherwise give the rollout up."""
     share: float = 0.1
+    """Of the whole budget, that joining two neighbouring states may take."""
 
     def __post_init__(self) -> None:
         for name in ("rollouts", "predictions", "attempts"):
@@ -61,86 +53,65 @@ class MPNetSettings:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """States (k, n) from start to goal; `joint` is the motion between states meeting and meeting + 1, if known."""
+    """What the network proposed from start to goal."""
 
     states: np.ndarray
+    """(k, n) [rad or m]."""
     meeting: int
+    """Row after which the other side's states come."""
     joint: Path | None
+    """The motion between the two states that meet, if it is known."""
 
 
-class MPNetPlanner:
-    """A trained MPNet as a planner; see the module."""
+class MPNetRollouts:
+    """A trained MPNet as a proposer of whole paths; see the module."""
 
-    def __init__(
-        self,
-        checkpoint: MPNetCheckpoint,
-        cloud_of: CloudOf | None = None,
-        settings: MPNetSettings | None = None,
-        name: str = "mpnet",
-    ) -> None:
-        """Take a snapshot of the weights. cloud_of: what the network sees; virtual cameras by default."""
-        self.name, self.checkpoint = name, checkpoint
+    def __init__(self, checkpoint: MPNetCheckpoint, settings: MPNetSettings | None = None) -> None:
+        """Take a snapshot of the weights."""
         self.settings = MPNetSettings() if settings is None else settings
         self.network = MPNetInference(checkpoint.network)
-        self.cloud_of = cloud_of or Observer(CameraSettings.like_training(checkpoint.network.config.n_points))
 
-    def plan(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        sampler: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Planner`.
+    def __call__(self, query: Query, observation: Observation) -> Proposal:
+        """Roll out until a path is found, the budget is spent or all rollouts have failed.
 
-        `sampler` serves the tree growth. An iteration is one proposal tested or one sample used. The run also
-        ends, as ITERATION_LIMIT, when all rollouts have failed.
+        An iteration is one proposal tested or one sample used.
 
         Raises
         ------
         InvalidInputError
-            When the weights belong to another robot, or the cloud is none.
+            When the cloud is none.
         """
-        self.checkpoint.robot.require_same(robot_signature(space.robot))
-        cloud = self.cloud_of(space.problem)
-        before = space.counters
-        allowance = Allowance(budget, space)
-        code = self.network.encode(self.network.draw_points(cloud, rng))
-        run = _Run(self.network, self.settings, space, sampler, allowance, rng, code, allowance.seconds)
-        nearest = goals[np.argsort(np.linalg.norm(goals - start, axis=1), kind="stable")]
-        path, status, detail = None, PlanStatus.ITERATION_LIMIT, ""
+        assert observation.cloud is not None
+        began = query.allowance.seconds
+        code = self.network.encode(self.network.draw_points(observation.cloud, query.rng))
+        run = _Run(self.network, self.settings, query, code, query.allowance.seconds - began)
+        nearest = query.nearest_goals(len(query.goals))
+        path, failure, detail = None, PlanStatus.ITERATION_LIMIT, ""
         for turn in range(self.settings.rollouts):
-            path = run.attempt(start, nearest[turn % len(nearest)])
-            spent = allowance.spent()
+            path = run.attempt(query.start, nearest[turn % len(nearest)])
+            spent = query.allowance.spent()
             if path is not None or spent is not None:
-                status = PlanStatus.SOLVED if path is not None else spent or status
+                failure = spent or failure
                 break
         else:
             detail = f"all {self.settings.rollouts} rollouts failed"
-        return PlanResult(
-            status=status,
-            path=path,
-            seconds=allowance.seconds,
-            counters=space.counters_since(before),
+        return Proposal(
+            replace(query.uniform, name="mpnet, uniform"),
+            Timings(encode=run.encode_seconds, predict=run.predict_seconds),
+            detail,
             vertices=run.vertices,
-            sampler=f"{self.name}, {sampler.name}",
-            detail=detail,
-            timings=Timings(encode=run.encode_seconds, predict=run.predict_seconds),
+            path=path,
+            failure=None if path is not None else failure,
         )
 
 
 @dataclass(eq=False)
 class _Run:
-    """One call of `MPNetPlanner.plan`: rollouts, and the paths through them."""
+    """One call of `MPNetRollouts`: rollouts, and the paths through them."""
 
     network: MPNetInference
     settings: MPNetSettings
-    space: ConstrainedSpace
-    sampler: SamplingDistribution
-    allowance: Allowance
-    rng: np.random.Generator
+    query: Query
     code: np.ndarray
     encode_seconds: float
     predict_seconds: float = 0.0
@@ -162,7 +133,7 @@ class _Run:
                 return None
             growing.append(state)
             self.vertices += 1
-            joint = direct_motion(self.space, sides[0][-1], sides[1][-1])
+            joint = direct_motion(self.query.space, sides[0][-1], sides[1][-1])
             if joint is not None:
                 break
         if joint is None and not self.settings.bridge:
@@ -171,19 +142,19 @@ class _Run:
 
     def _next_state(self, current: np.ndarray, towards: np.ndarray) -> np.ndarray | None:
         """The first proposal that is free once clipped and projected, or None when attempts or budget are used up."""
-        robot, settings = self.space.robot, self.settings
-        dropout = self.rng if settings.dropout else None
+        robot, settings = self.query.space.robot, self.settings
+        dropout = self.query.rng if settings.dropout else None
         for _ in range(settings.attempts if settings.dropout else 1):
-            if self.allowance.spent():
+            if self.query.allowance.spent():
                 return None
-            self.allowance.count()
+            self.query.allowance.count()
             began = time.perf_counter()
             proposed = self.network.propose(
                 _normalised(robot, current), _normalised(robot, towards), self.code, dropout
             )
             q = _radians(robot, proposed)
             self.predict_seconds += time.perf_counter() - began
-            if self.space.project(q) and self.space.valid(q):
+            if self.query.space.project(q) and self.query.space.valid(q):
                 return q
         return None
 
@@ -191,7 +162,7 @@ class _Run:
         """Join every two neighbouring states, directly or by tree growth; None as soon as one pair fails."""
         motions = []
         for i, (a, b) in enumerate(pairwise(rollout.states)):
-            motion = rollout.joint if i == rollout.meeting else direct_motion(self.space, a, b)
+            motion = rollout.joint if i == rollout.meeting else direct_motion(self.query.space, a, b)
             motion = motion or self._grown(a, b)
             if motion is None:
                 return None
@@ -200,10 +171,10 @@ class _Run:
 
     def _grown(self, a: np.ndarray, b: np.ndarray) -> Path | None:
         """A path from a to b (n,) by tree growth within its share of the budget."""
-        if self.allowance.spent():
+        if self.query.allowance.spent():
             return None
-        part = self.allowance.part(self.settings.share)
-        result = BiRRT().plan(self.space, a, b[None], self.sampler, part, self.rng)
+        part = self.query.allowance.part(self.settings.share)
+        result = BiRRT().search(self.query.space, a, b[None], self.query.uniform, part, self.query.rng)
         self.vertices += result.vertices
         return result.path
 

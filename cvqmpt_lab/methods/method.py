@@ -1,0 +1,108 @@
+"""A method: how to observe, predict, update and search, with a name and what it needs."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.proposal import Proposal, Proposer, uniform
+from cvqmpt_lab.planning.query import Query
+from cvqmpt_lab.planning.search import Search
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+
+CloudOf = Callable[[PlanningProblem], np.ndarray]
+"""Gives the cloud (m, 3) [m, robot base frame] of a problem."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """What a method does with one robot's problems, stage by stage."""
+
+    predict: Proposer = uniform
+    """What it proposes to a search."""
+    search: Search = field(default_factory=BiRRT)
+    """How it looks for a path."""
+    observe: CloudOf | None = None
+    """How it sees the world; None if it does not look."""
+    update: Callable[[Query, Proposal], Proposal] | None = None
+    """How a proposal is moved towards the constraint (paper, Algorithm 2); None to leave it."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Trained weights that a method needs: what kind, where, and for which robot."""
+
+    kind: str
+    """Key of `prediction.weights.SHIPPED`."""
+    model: Path | None = None
+    """Folder; None for the shipped ones."""
+
+    def unfit(self, robot: Robot) -> str:
+        """Why the weights cannot serve a robot, or ""."""
+        from cvqmpt_lab.methods.learned import difference  # torch takes 2 s to import
+
+        return difference(self, robot)
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A planner by name; light until its stages are asked for."""
+
+    name: str
+    build: Callable[[Robot, Weights | None], Stages]
+    """Makes the stages for a robot; slow the first time where weights are loaded."""
+    weights: Weights | None = None
+    """None for methods that serve any robot."""
+    needs_constraint: bool = False
+
+    @staticmethod
+    def simple(name: str, needs_constraint: bool = False, **stages) -> "Method":
+        """A method without weights, its stages given as they are."""
+        fixed = Stages(**stages)
+        return Method(name, lambda robot, weights: fixed, needs_constraint=needs_constraint)
+
+    def with_model(self, model: Path) -> "Method":
+        """The same on other weights.
+
+        Raises
+        ------
+        InvalidInputError
+            When the method uses none.
+        """
+        if self.weights is None:
+            raise InvalidInputError(f"{self.name} uses no weights: leave --model {model} out")
+        return replace(self, weights=replace(self.weights, model=model))
+
+    def unfit(self, problem: PlanningProblem) -> str:
+        """Why the method cannot serve a problem, or ""."""
+        if self.needs_constraint and not problem.constraint:
+            return f"{self.name} needs a constraint, and the problem has none"
+        return "" if self.weights is None else self.weights.unfit(problem.robot)
+
+    def stages(self, problem: PlanningProblem) -> Stages:
+        """What it does with a problem's robot.
+
+        Raises
+        ------
+        InvalidInputError
+            Saying why the method cannot serve the problem, and which ones could.
+        """
+        if reason := self.unfit(problem):
+            from cvqmpt_lab.methods.table import PLANNERS
+
+            others = [name for name, method in PLANNERS.items() if _serves(method, problem)]
+            raise InvalidInputError(f"{reason}; planners that can: {', '.join(others)}")
+        return self.build(problem.robot, self.weights)
+
+
+def _serves(method: Method, problem: PlanningProblem) -> bool:
+    return method.weights is None and not (method.needs_constraint and not problem.constraint)
+
+
+def names_with_weights(methods: Mapping[str, Method]) -> frozenset[str]:
+    """Names of the methods that use trained weights."""
+    return frozenset(name for name, method in methods.items() if method.weights is not None)

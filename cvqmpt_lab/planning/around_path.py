@@ -1,0 +1,64 @@
+"""Proposals that need no network: along the straight line, and around an unconstrained path."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.proposal import Observation, Proposal
+from cvqmpt_lab.planning.query import Query
+from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.simplify import simplify
+
+
+@dataclass(frozen=True)
+class AroundPath:
+    """Equal Gaussians at waypoints along paths, and a uniform share."""
+
+    name: str
+    std: float = 0.5
+    """Of each Gaussian, in every joint [rad]."""
+    uniform_share: float = 0.15
+    spacing: float = 0.5
+    """Between waypoints along a path [rad]."""
+
+    def mixture(self, query: Query, *paths: Path) -> SamplingDistribution:
+        """The distribution around paths."""
+        means = np.concatenate([path.spaced(self.spacing) for path in paths])
+        covariance = self.std**2 * np.eye(means.shape[1])
+        return GaussianMixture.equal(means, covariance, query.uniform, self.uniform_share, self.name)
+
+
+@dataclass(frozen=True)
+class StraightLine:
+    """Gaussians along the straight lines to the goals nearest to the start: what any guide must beat."""
+
+    around: AroundPath
+    goals: int = 3
+    """How many of the nearest goals."""
+
+    def __call__(self, query: Query, observation: Observation) -> Proposal:
+        """Propose; nothing is checked."""
+        lines = [Path(np.stack([query.start, goal])) for goal in query.nearest_goals(self.goals)]
+        return Proposal(self.around.mixture(query, *lines))
+
+
+@dataclass(frozen=True)
+class UnconstrainedPath:
+    """What an unconstrained path, planned and paid for first, suggests: the honest rival of learned samplers."""
+
+    suggest: Callable[[Query, Path], SamplingDistribution]
+
+    def __call__(self, query: Query, observation: Observation) -> Proposal:
+        """Plan without the constraint, shorten, suggest."""
+        free = query.space.unconstrained()
+        guide = BiRRT().search(
+            free, query.start, query.goals, query.uniform, query.allowance.budget, query.rng
+        )
+        if guide.path is None:
+            detail = "no unconstrained path"
+            return Proposal(query.uniform, detail=detail, vertices=guide.vertices, failure=guide.status)
+        path = simplify(free, guide.path, query.rng).path
+        return Proposal(self.suggest(query, path), vertices=guide.vertices)

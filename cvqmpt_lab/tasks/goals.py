@@ -1,0 +1,132 @@
+"""Where the phases of a task may end: goal configurations from which the phase after can begin."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.pipeline import MAX_GOALS
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
+from cvqmpt_lab.tasks.world import World
+
+DOOR_MARGIN = 5e-4  # [m] in place of SAMPLE_MARGIN with a door in the hand
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard goals of a kind of phase are looked for."""
+
+    goals: int
+    """Sought; those of slides and turns differ only in posture."""
+    poses: int
+    """Of the end effector that are tried for them."""
+    first_goals: int = 0
+    """Sought by the phase before, ..."""
+    grasps: int = 0
+    """... of which it needs so many from which this phase has goals."""
+    goals_ahead: int = 0
+    """A grasp that lets fewer be reached stands at a limit and may get stuck."""
+    poses_ahead: int = 0
+
+
+EFFORT: dict[type, Effort] = {
+    Move: Effort(goals=MAX_GOALS, poses=100),
+    Slide: Effort(goals=3, poses=3, first_goals=8, grasps=5, goals_ahead=1, poses_ahead=1),
+    Turn: Effort(goals=10, poses=25, first_goals=20, grasps=2, goals_ahead=5, poses_ahead=8),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseGoals:
+    """Where a phase may end."""
+
+    configurations: np.ndarray
+    """(m, n) [rad or m]."""
+    reason: str = ""
+    """Why there are none, or ""."""
+
+
+def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:
+    """Number of the first planned phase from k on, and that phase; None when there is none."""
+    for number, phase in enumerate(task.phases[k:], start=k):
+        if isinstance(phase, PlannedPhase):
+            return number, phase
+    return None
+
+
+def world_before(task: Task, world: World, k: int, number: int) -> World:
+    """The world before phase `number`, given that before phase k; the phases between are not planned."""
+    for phase in task.phases[k:number]:
+        world = world.after(phase)
+    return world
+
+
+def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:
+    """Goals of planned phase k from which the planned phase after it can begin."""
+    phase = task.phases[k]
+    problem, after = world.problem(task, phase), following(task, k + 1)
+    effort, ahead = EFFORT[type(phase)], EFFORT[type(after[1])] if after else None
+    count = ahead.first_goals if ahead and ahead.grasps else effort.goals
+    found = _sampled(problem, phase, count, effort.poses)
+    if ahead is None or not ahead.grasps or len(found.configurations) == 0:
+        return found
+    good: list[np.ndarray] = []
+    for goal in found.configurations:
+        if len(good) < ahead.grasps and _goes_on(task, k, world.moved(goal)):
+            good.append(goal)
+    reason = (
+        ""
+        if good
+        else f"none of {len(found.configurations)} goals lets {after[1].name!r} reach its own"  # type: ignore[index]
+    )
+    return PhaseGoals(np.array(good).reshape(-1, problem.robot.dof), reason)
+
+
+def prepare(task: Task, k: int, world: World) -> None:
+    """Build the checkers that sampling asks, for which no time is charged, as for planners' spaces."""
+    phase, after = task.phases[k], following(task, k + 1)
+    _checker(world.problem(task, phase))
+    if isinstance(phase, Move) and after and isinstance(after[1], Turn):
+        later = world_before(task, world, k + 1, after[0])
+        _checker(later.problem(task, after[1]))
+
+
+def _goes_on(task: Task, k: int, world: World) -> bool:
+    """Whether the slide or turn after phase k has goals from a world."""
+    after = following(task, k + 1)
+    assert after is not None
+    problem = world_before(task, world, k + 1, after[0]).problem(task, after[1])
+    if _checker(problem).in_collision(problem.start):
+        return False
+    effort = EFFORT[type(after[1])]
+    found = _sampled(problem, after[1], effort.goals_ahead, effort.poses_ahead)
+    return len(found.configurations) >= effort.goals_ahead
+
+
+def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: int) -> PhaseGoals:
+    """Up to count goals of a phase's problem; the draw depends on the start alone.
+
+    Slides and turns get goals in a posture like the start's: others could only be reached by letting go.
+    """
+    assert problem.goal_region is not None
+    found = sample_region(
+        problem.robot,
+        problem.goal_region,
+        _checker(problem),
+        np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64)),
+        count,
+        max_poses=poses,
+        within=problem.constraint if isinstance(phase, Turn) else (),
+        near=None if isinstance(phase, Move) else problem.start,
+    )
+    if len(found.configurations):
+        return PhaseGoals(found.configurations)
+    tried = f"of {found.poses_tried} poses, {found.unreachable} without inverse kinematics"
+    return PhaseGoals(found.configurations, f"no goal: {tried}, {found.colliding} in collision")
+
+
+def _checker(problem: PlanningProblem) -> CollisionChecker:
+    """The one that starts and goals are drawn with; a closed door is only 1 mm from its neighbour."""
+    return problem.collision_checker(DOOR_MARGIN if "articulated" in problem.robot.source else SAMPLE_MARGIN)
