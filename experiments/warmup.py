@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import compiled_before
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget
@@ -27,7 +26,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     assert isinstance(problem, PlanningProblem)
     solve(
         problem,
-        planner_named("birrt"),
+        "birrt",
         Budget(iterations=1000),
         seed=0,
         clearance=False,

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -45,4 +44,4 @@ def problem():
 @pytest.fixture(scope="session")
 def solution(problem):
     """A certified solution of `problem`."""
-    return solve(problem, BiRRT(), Budget(iterations=20_000), seed=0)
+    return solve(problem, "birrt", Budget(iterations=20_000), seed=0)

@@ -56,6 +56,12 @@ def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:
     return None
 
 
+def _planned(task: Task, k: int) -> PlannedPhase:
+    phase = task.phases[k]
+    assert isinstance(phase, PlannedPhase)
+    return phase
+
+
 def world_before(task: Task, world: World, k: int, number: int) -> World:
     """The world before phase `number`, given that before phase k; the phases between are not planned."""
     for phase in task.phases[k:number]:
@@ -65,28 +71,25 @@ def world_before(task: Task, world: World, k: int, number: int) -> World:
 
 def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:
     """Goals of planned phase k from which the planned phase after it can begin."""
-    phase = task.phases[k]
-    problem, after = world.problem(task, phase), following(task, k + 1)
-    effort, ahead = EFFORT[type(phase)], EFFORT[type(after[1])] if after else None
-    count = ahead.first_goals if ahead and ahead.grasps else effort.goals
-    found = _sampled(problem, phase, count, effort.poses)
-    if ahead is None or not ahead.grasps or len(found.configurations) == 0:
-        return found
+    phase, after = _planned(task, k), following(task, k + 1)
+    problem, effort = world.problem(task, phase), EFFORT[type(phase)]
+    if after is None or not EFFORT[type(after[1])].grasps:
+        return _sampled(problem, phase, effort.goals, effort.poses)
+    ahead = EFFORT[type(after[1])]
+    found = _sampled(problem, phase, ahead.first_goals, effort.poses)
     good: list[np.ndarray] = []
     for goal in found.configurations:
         if len(good) < ahead.grasps and _goes_on(task, k, world.moved(goal)):
             good.append(goal)
-    reason = (
-        ""
-        if good
-        else f"none of {len(found.configurations)} goals lets {after[1].name!r} reach its own"  # type: ignore[index]
-    )
-    return PhaseGoals(np.array(good).reshape(-1, problem.robot.dof), reason)
+    if found.reason or good:
+        return PhaseGoals(np.array(good).reshape(-1, problem.robot.dof), found.reason)
+    reason = f"none of {len(found.configurations)} goals lets {after[1].name!r} reach its own"
+    return PhaseGoals(found.configurations[:0], reason)
 
 
 def prepare(task: Task, k: int, world: World) -> None:
     """Build the checkers that sampling asks, for which no time is charged, as for planners' spaces."""
-    phase, after = task.phases[k], following(task, k + 1)
+    phase, after = _planned(task, k), following(task, k + 1)
     _checker(world.problem(task, phase))
     if isinstance(phase, Move) and after and isinstance(after[1], Turn):
         later = world_before(task, world, k + 1, after[0])

@@ -10,8 +10,9 @@ from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.manifold.projection import project_batch, projection_scratch
-from cvqmpt_lab.methods.table import PLANNERS, planner_named
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -76,24 +77,20 @@ def bench_planners(problems: int) -> list[Figure]:
 
 
 def _plan_figures(name: str, cases: list[PlanningProblem]) -> list[Figure]:
-    planner = planner_named(name)
     seconds, projections, checks, raw, final, simplifying = [], [], [], [], [], []
     for index, problem in enumerate((cases[0], *cases)):  # the first run only loads code
-        space = ConstrainedSpace(problem)
-        rng = np.random.default_rng(0)
-        uniform = Uniform(problem.robot.lower, problem.robot.upper)
-        plan = planner.plan(space, problem.start, problem.goals, uniform, Budget(seconds=10.0), rng)
+        solution = solve(problem, name, Budget(seconds=10.0), seed=0, clearance=False)
+        plan = solution.plan
         if index == 0:
             continue
         solved = plan.status is PlanStatus.SOLVED
         seconds.append(plan.seconds if solved else np.inf)
         projections.append(plan.counters.projections)
         checks.append(plan.counters.state_checks)
-        if plan.path is not None:
-            shorter = simplify(space, plan.path, rng, SimplifySettings())
+        if plan.path is not None and solution.simplified is not None:
             raw.append(plan.path.length)
-            final.append(shorter.path.length)
-            simplifying.append(shorter.seconds)
+            final.append(solution.simplified.path.length)
+            simplifying.append(solution.simplified.seconds)
     return [
         spread(f"{name}: plan", 1e3 * np.array(seconds), "ms"),
         spread(f"{name}: simplify", 1e3 * np.array(simplifying), "ms"),
@@ -113,13 +110,13 @@ def _tuning_problems(count: int) -> list[PlanningProblem]:
 
 def bench_unconstrained(problems: int) -> list[Figure]:
     """Free paths among random cubes and spheres: the first one, the shortened one, and how far from the best."""
-    planner, solved = planner_named("birrt"), 0
+    solved = 0
     first, total, above_same, above_best = [], [], [], []
     for index, problem in enumerate((next(_random_problems(1)), *_random_problems(problems))):
         space = ConstrainedSpace(problem)
         uniform = Uniform(problem.robot.lower, problem.robot.upper)
         rng = np.random.default_rng(index)
-        plan = planner.plan(space, problem.start, problem.goals, uniform, Budget(seconds=2.0), rng)
+        plan = BiRRT().search(space, problem.start, problem.goals, uniform, Budget(seconds=2.0), rng)
         if plan.path is None or index == 0:
             continue
         solved += 1
@@ -148,9 +145,7 @@ def _best_length(
     best, began = np.inf, time.perf_counter()
     settings = SimplifySettings(attempts=1024, patience=16)
     while (left := LONG_RUN - (time.perf_counter() - began)) > 0:
-        plan = planner_named("birrt").plan(
-            space, problem.start, problem.goals, uniform, Budget(seconds=left), rng
-        )
+        plan = BiRRT().search(space, problem.start, problem.goals, uniform, Budget(seconds=left), rng)
         if plan.path is not None:
             best = min(best, simplify(space, plan.path, rng, settings).path.length)
     return best

@@ -8,6 +8,7 @@ import pytest
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods import table
+from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.results.store import ResultRow, RunStore
 from experiments import regression
@@ -41,8 +42,8 @@ class NearStart:
 class BlindBiRRT(BiRRT):
     """birrt with a sabotaged sampler."""
 
-    def plan(self, space, start, goals, sampler, budget, rng):
-        return super().plan(space, start, goals, NearStart(start), replace(budget, iterations=50), rng)
+    def search(self, space, start, goals, distribution, budget, rng):
+        return super().search(space, start, goals, NearStart(start), replace(budget, iterations=50), rng)
 
 
 # ---------------------------------------------------------------- runs
@@ -56,7 +57,7 @@ def test_runs_repeat_whatever_ran_before(few):
 
 
 def test_a_changed_planner_turns_red(few, monkeypatch):
-    monkeypatch.setitem(table.PLANNERS, "birrt", lambda: BiRRT(extend_both=not BiRRT().extend_both))
+    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BiRRT(extend_both=False)))
     found = compare(Expectations(HERE, few), measure(FEW), HERE)
     assert found.mode.startswith("exactly")
     assert len(found.differences) == 2, "both runs of birrt, and none of ompl-projected"
@@ -64,7 +65,7 @@ def test_a_changed_planner_turns_red(few, monkeypatch):
 
 
 def test_a_broken_planner_turns_red_also_on_another_machine(few, monkeypatch):
-    monkeypatch.setitem(table.PLANNERS, "birrt", BlindBiRRT)
+    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BlindBiRRT()))
     found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
     assert "by bounds, not bit for bit, since cpu_model this one -> another one" in found.mode
     assert [line.partition(": ")[2] for line in found.differences] == [
@@ -220,7 +221,7 @@ def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_pa
         "runs compared exactly" in out
         and "tables of 1 results directories rendered anew: no difference" in out
     )
-    monkeypatch.setitem(table.PLANNERS, "birrt", BlindBiRRT)
+    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BlindBiRRT()))
     assert main(words) == 1
     assert (
         "  differs: birrt, problem 2, seed 0, 20000 iterations: status was solved" in capsys.readouterr().out

@@ -1,12 +1,13 @@
 """From solutions to rows: what is charged to a planner, and under which name."""
 
-from dataclasses import dataclass, replace
+import time
 
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, Timings
 from cvqmpt_lab.results.store import read_rows
 from experiments.rows import result_row
@@ -15,38 +16,33 @@ from paper_tables.committed import committed_directories
 PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s")
 
 
-@dataclass(frozen=True)
-class Thinking:
-    """birrt that says it has spent seconds on networks as well."""
-
-    timings: Timings
-    name: str = "thinking"
-
-    def plan(self, *arguments):
-        result = BiRRT().plan(*arguments)
-        return replace(result, seconds=result.seconds + self.timings.total, timings=self.timings)
-
-
 def row_of(problem, timings, budget=20_000):
-    solution = solve(problem, Thinking(timings), Budget(iterations=budget), seed=0, clearance=False)
+    """The row of birrt after a proposer that takes its time."""
+
+    def think(query, observation):
+        time.sleep(timings.total)
+        return Proposal(query.uniform, timings)
+
+    thinking = Method.simple("thinking", predict=think)
+    solution = solve(problem, thinking, Budget(iterations=budget), seed=0, clearance=False)
     return result_row("suite", "thinking", 0, "compiled", solution, goal_seconds=0.25), solution
 
 
 def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
-    row, solution = row_of(problem, Timings(encode=7.0, predict=11.0, optimize=13.0))
-    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (7.0, 11.0, 13.0)
-    assert row.t_plan_s == solution.plan.search_seconds < solution.plan.seconds - 30.9
+    row, solution = row_of(problem, Timings(encode=0.07, predict=0.11, optimize=0.13))
+    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (0.07, 0.11, 0.13)
+    assert row.t_plan_s == solution.plan.search_seconds < solution.plan.seconds - 0.309
     assert row.t_total_s == pytest.approx(sum(getattr(row, part) for part in PARTS))
     assert row.t_total_s == pytest.approx(0.25 + solution.plan.seconds + solution.simplified.seconds)
     assert row.t_observe_s is None
 
 
 def test_parts_that_a_planner_does_not_have_stay_empty(problem):
-    row, _ = row_of(problem, Timings(predict=2.0))
-    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (None, 2.0, None)
-    failed, solution = row_of(problem, Timings(encode=3.0), budget=1)
+    row, _ = row_of(problem, Timings(predict=0.02))
+    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (None, 0.02, None)
+    failed, solution = row_of(problem, Timings(encode=0.03), budget=1)
     assert not failed.solved and failed.t_simplify_s is None
-    assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds) and failed.t_total_s > 3.25
+    assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds) and failed.t_total_s > 0.28
 
 
 def test_search_is_all_of_a_run_without_networks(solution):

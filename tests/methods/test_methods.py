@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.learned import _believed_blocked, _dictionary, _moved, _observer
+from cvqmpt_lab.methods.learned import believed_blocked, moved_to_manifold
+from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, planner_named
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.proposal import Observation
+from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.prediction.collision_head import free_probability
@@ -27,11 +29,18 @@ def problem():
 
 
 def plan(problem, name, budget=ENOUGH, seed=0):
-    """One run in a fresh space."""
-    space = ConstrainedSpace(problem)
-    uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    rng = np.random.default_rng(seed)
-    return planner_named(name).plan(space, problem.start, problem.goals, uniform, budget, rng)
+    """What the search of a method finds."""
+    return solve(problem, name, budget, seed, clearance=False).plan
+
+
+@pytest.fixture(scope="module")
+def roadmap(problem):
+    return PLANNERS["roadmap-cvq"].stages(problem).predict.roadmap
+
+
+def query_of(problem, seed=0):
+    """A query with a generous budget in a fresh space."""
+    return Query.of(ConstrainedSpace(problem), ENOUGH, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("name", CONTROLS)
@@ -48,27 +57,27 @@ def test_learned_planners_pay_for_their_networks(problem):
     assert result.seconds >= result.timings.total
 
 
-def test_the_head_sees_the_scene(problem):
+def test_the_head_sees_the_scene(problem, roadmap):
     """Its verdict agrees with exact checks more often than not, and another cloud changes it."""
-    space, nodes = ConstrainedSpace(problem), _dictionary().nodes
+    space, nodes = ConstrainedSpace(problem), roadmap.nodes
     free = space.valid_batch(nodes)
-    cloud, checkpoint = _observer()(problem), load_shipped(problem.robot)
+    cloud, checkpoint = Observer()(problem), load_shipped(problem.robot)
     belief = free_probability(checkpoint, problem.robot, cloud, nodes)
     assert belief[free].mean() > belief[~free].mean() + 0.15
-    np.testing.assert_array_equal(_believed_blocked(problem), belief < 0.5)
+    blocked = believed_blocked(PLANNERS["roadmap-cvq"].weights, roadmap)
+    np.testing.assert_array_equal(blocked(query_of(problem), Observation(cloud)), belief < 0.5)
     elsewhere = free_probability(checkpoint, problem.robot, cloud + [0.0, 0.0, 2.0], nodes)
     assert np.abs(elsewhere - belief).max() > 0.2
     with pytest.raises(InvalidInputError, match="no collision head"):
         free_probability(replace(checkpoint, sequence_model=None), problem.robot, cloud, nodes)
 
 
-def test_the_update_moves_dictionary_codes_to_the_manifold(problem):
+def test_the_update_moves_dictionary_codes_to_the_manifold(problem, roadmap):
     codes = np.arange(0, 1024, 64)
-    means, covariances = _moved(problem, codes, np.random.default_rng(0))
-    space = ConstrainedSpace(problem)
-    before = [np.linalg.norm(space.residual_and_jacobian(q)[0]) for q in _dictionary().nodes[codes]]
-    after = [np.linalg.norm(space.residual_and_jacobian(q)[0]) for q in means]
-    assert covariances.shape == (len(codes), 7, 7) and np.mean(after) < np.mean(before)
+    moved = moved_to_manifold(PLANNERS["roadmap-cvq"].weights)(query_of(problem), codes)
+    before = np.linalg.norm(problem.manifold.residual(roadmap.nodes[codes]), axis=1)
+    after = np.linalg.norm(problem.manifold.residual(moved.means), axis=1)
+    assert moved.covariances.shape == (len(codes), 7, 7) and np.mean(after) < np.mean(before)
 
 
 def test_names_are_unique():

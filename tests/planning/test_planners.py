@@ -13,9 +13,11 @@ from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.search.space_arrays import StateCheck
+from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.problem import PlanningProblem
@@ -27,13 +29,14 @@ OURS = ("birrt", "guided-birrt")
 ENOUGH = Budget(iterations=20_000)
 
 
-def plan(problem, planner, budget, seed=0, backend="compiled", sampler=None):
-    """One run of a planner, given by name or object, in a fresh space."""
-    planner = planner_named(planner) if isinstance(planner, str) else planner
-    sampler = sampler or Uniform(problem.robot.lower, problem.robot.upper)
-    space = ConstrainedSpace(problem, backend)
-    rng = np.random.default_rng(seed)
-    return planner.plan(space, problem.start, problem.goals, sampler, budget, rng)
+def plan(problem, method, budget, seed=0, backend="compiled"):
+    """What the search of a method, given by name or object, finds."""
+    return solve(problem, method, budget, seed, backend=backend, clearance=False).plan
+
+
+def sampling(distribution):
+    """birrt on a distribution."""
+    return Method.simple("birrt", predict=lambda query, observation: Proposal(distribution))
 
 
 def outcome(result):
@@ -161,7 +164,7 @@ def test_trees_are_enlarged_when_full(problem):
     space = ConstrainedSpace(problem, settings=SpaceSettings(step=0.002))
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
     rng = np.random.default_rng(0)
-    result = BiRRT(step=0.002).plan(space, problem.start, problem.goals, uniform, ENOUGH, rng)
+    result = BiRRT(step=0.002).search(space, problem.start, problem.goals, uniform, ENOUGH, rng)
     assert max(len(tree.nodes) for tree in result.trees) > 4096
     assert certify(problem, result.path, clearance=False).valid
 
@@ -181,28 +184,31 @@ def test_any_distribution_is_sampled_and_named(problem, solution):
     k = len(means)
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
     guide = GaussianMixture(means, np.tile(0.05 * np.eye(7), (k, 1, 1)), np.full(k, 1 / k), uniform, 0.1)
-    result = plan(problem, "birrt", ENOUGH, sampler=guide)
+    result = plan(problem, sampling(guide), ENOUGH)
     assert result.status is PlanStatus.SOLVED and result.sampler == "gaussian-mixture"
     assert plan(problem, "birrt", Budget(iterations=1)).sampler == "uniform"
 
 
 def test_samples_outside_the_limits_are_clipped(problem):
-    result = plan(problem, "birrt", ENOUGH, seed=1, sampler=Outside())
+    result = plan(problem, sampling(Outside()), ENOUGH, seed=1)
     assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
 
 
 @pytest.mark.parametrize("extend_both", [True, False])
 def test_both_forms_of_algorithm_3_solve(problem, extend_both):
-    result = plan(problem, BiRRT(extend_both=extend_both), ENOUGH, seed=2)
+    result = plan(problem, Method.simple("birrt", search=BiRRT(extend_both=extend_both)), ENOUGH, seed=2)
     assert certify(problem, result.path, clearance=False).valid
 
 
 def test_without_a_constraint(problem):
     free = replace(problem, constraint=())
-    solution = solve(free, BiRRT(), ENOUGH, seed=0)
+    solution = solve(free, "birrt", ENOUGH, seed=0)
     assert solution.solved and solution.plan.counters.projections == 0
-    refused = solve(free, planner_named("ompl-projected"), ENOUGH, seed=0)
-    assert refused.plan.status is PlanStatus.PLANNER_ERROR and "constraint" in refused.plan.detail
+    with pytest.raises(
+        InvalidInputError,
+        match=r"ompl-projected needs a constraint.* planners that can: birrt, guided-birrt$",
+    ):
+        solve(free, "ompl-projected", ENOUGH, seed=0)
 
 
 @pytest.mark.parametrize("name", PLANNERS)

@@ -1,4 +1,4 @@
-"""Roadmaps over a dictionary, on the real kitchen; nodes are random configurations, so no weights are needed."""
+"""Roadmaps over a roadmap, on the real kitchen; nodes are random configurations, so no weights are needed."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,16 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search.lazy_roadmap import nearest_nodes
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.roadmap import (
-    Dictionary,
-    RoadmapGuided,
+    Roadmap,
     RoadmapQuery,
-    RoadmapSearch,
     RoadmapSettings,
-    mixture_around,
 )
+from cvqmpt_lab.planning.roadmap_proposals import RoadmapMixture, RoadmapPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from experiments.suites.place_task import place_problem
 
@@ -30,23 +29,21 @@ def problem():
 
 
 @pytest.fixture(scope="module")
-def dictionary(problem):
+def roadmap(problem):
     nodes = problem.robot.random_configurations(np.random.default_rng(5), 1500)
-    return Dictionary.of(nodes, np.tile(0.2 * np.eye(7), (len(nodes), 1, 1)))
+    return Roadmap.of(nodes, np.tile(0.2 * np.eye(7), (len(nodes), 1, 1)))
 
 
-def plan(problem, planner, budget=ENOUGH, seed=0):
-    """One run in a fresh space."""
-    space = ConstrainedSpace(problem)
-    uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    rng = np.random.default_rng(seed)
-    return planner.plan(space, problem.start, problem.goals, uniform, budget, rng)
+def plan(problem, proposer, seed=0):
+    """What birrt finds after a proposal."""
+    method = Method.simple("roadmap", predict=proposer)
+    return solve(problem, method, ENOUGH, seed, clearance=False).plan
 
 
-def query_of(problem, dictionary, **settings):
+def query_of(problem, roadmap, **settings):
     """A query and a generous allowance in a fresh space."""
     space = ConstrainedSpace(problem)
-    query = RoadmapQuery(space, dictionary, problem.start, problem.goals, RoadmapSettings(**settings))
+    query = RoadmapQuery(space, roadmap, problem.start, problem.goals, RoadmapSettings(**settings))
     return space, query, Allowance(ENOUGH, space)
 
 
@@ -60,66 +57,66 @@ def test_nearest_nodes_are_those_of_a_full_sort():
     np.testing.assert_allclose(squares, np.sort(distances)[:9])
 
 
-def test_dictionary_links_each_node_to_its_nearest_others(dictionary):
-    distances = np.linalg.norm(dictionary.nodes - dictionary.nodes[17], axis=1)
-    np.testing.assert_array_equal(dictionary.neighbours[17], np.argsort(distances)[1:13])
-    with pytest.raises(InvalidInputError, match="dictionary of 3 nodes"):
-        Dictionary.of(dictionary.nodes[:3], dictionary.covariances[:3])
+def test_a_roadmap_links_each_node_to_its_nearest_others(roadmap):
+    distances = np.linalg.norm(roadmap.nodes - roadmap.nodes[17], axis=1)
+    np.testing.assert_array_equal(roadmap.neighbours[17], np.argsort(distances)[1:13])
+    with pytest.raises(InvalidInputError, match="roadmap of 3 nodes"):
+        Roadmap.of(roadmap.nodes[:3], roadmap.covariances[:3])
 
 
-def test_a_roadmap_path_is_certified_and_repeats(problem, dictionary):
-    result = plan(problem, RoadmapSearch(dictionary))
+def test_a_roadmap_path_is_certified_and_repeats(problem, roadmap):
+    result = plan(problem, RoadmapPath(roadmap))
     assert result.status is PlanStatus.SOLVED
     assert certify(problem, result.path).valid
     np.testing.assert_array_equal(result.path.states[0], problem.start)
-    again = plan(problem, RoadmapSearch(dictionary), seed=3)  # nothing in it is random unless birrt must help
-    if result.sampler == "roadmap-cvq":
+    again = plan(problem, RoadmapPath(roadmap), seed=3)  # nothing in it is random unless birrt must help
+    if not result.fallback:
         np.testing.assert_array_equal(result.path.states, again.path.states)
 
 
-def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, dictionary):
-    space, query, allowance = query_of(problem, dictionary)
+def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
+    space, query, allowance = query_of(problem, roadmap)
     query.next_path(allowance)
     nodes = query.configurations(query.free_nodes)
     assert len(nodes) > 0 and space.valid_batch(nodes).all()
     for q in nodes:
         assert np.abs(space.residual_and_jacobian(q)[0]).max() < 1e-4
-    untouched = np.setdiff1d(np.arange(len(dictionary.nodes)), query.free_nodes)
-    assert (query.configurations(untouched) == dictionary.nodes[untouched]).all(axis=1).sum() > 1000
+    untouched = np.setdiff1d(np.arange(len(roadmap.nodes)), query.free_nodes)
+    assert (query.configurations(untouched) == roadmap.nodes[untouched]).all(axis=1).sum() > 1000
 
 
-def test_the_next_path_is_another_one(problem, dictionary):
-    _, query, allowance = query_of(problem, dictionary, detour=4.0, searches=400)
+def test_the_next_path_is_another_one(problem, roadmap):
+    _, query, allowance = query_of(problem, roadmap, detour=4.0, searches=400)
     first, rows = query.next_path(allowance)
     second, others = query.next_path(allowance)
     assert first is not None and second is not None
     assert set(rows) != set(others)
 
 
-def test_blind_search_checks_nothing(problem, dictionary):
-    space, query, allowance = query_of(problem, dictionary)
+def test_blind_search_checks_nothing(problem, roadmap):
+    space, query, allowance = query_of(problem, roadmap)
     path, rows = query.next_path(allowance, check=False)
     assert space.counters.state_checks == 0 and space.counters.projections == 0
-    np.testing.assert_array_equal(path.states[1:-1], dictionary.nodes[rows])
+    np.testing.assert_array_equal(path.states[1:-1], roadmap.nodes[rows])
 
 
-def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, dictionary):
-    result = plan(problem, RoadmapSearch(dictionary, settings=RoadmapSettings(searches=1, links=1)))
+def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap):
+    result = plan(problem, RoadmapPath(roadmap, settings=RoadmapSettings(searches=1, links=1)))
     assert result.path is not None and certify(problem, result.path).valid
-    assert result.sampler.startswith("roadmap-cvq(no path)")
-    assert "no roadmap path after 1 searches" in result.detail
+    assert result.fallback.startswith("birrt around ")
+    assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
 
 
 @pytest.mark.parametrize("check", [True, False])
-def test_roadmap_paths_guide_birrt(problem, dictionary, check):
-    result = plan(problem, RoadmapGuided(dictionary, check=check))
+def test_roadmap_paths_guide_birrt(problem, roadmap, check):
+    result = plan(problem, RoadmapMixture(roadmap, check=check))
     assert result.path is not None and certify(problem, result.path).valid
     assert "roadmap paths" in result.detail and result.sampler == "roadmap-sampler"
 
 
-def test_the_mixture_around_no_nodes_is_uniform(problem, dictionary):
-    space = ConstrainedSpace(problem)
-    some = mixture_around(dictionary.nodes[:4], dictionary.covariances[:4], space, 0.2, "m")
+def test_the_mixture_around_no_nodes_is_uniform(problem, roadmap):
+    uniform = Uniform(problem.robot.lower, problem.robot.upper)
+    some = GaussianMixture.equal(roadmap.nodes[:4], roadmap.covariances[:4], uniform, 0.2, "m")
     assert isinstance(some, GaussianMixture) and some.uniform_share == 0.2
-    none = mixture_around(dictionary.nodes[:0], dictionary.covariances[:0], space, 0.2, "m")
+    none = GaussianMixture.equal(roadmap.nodes[:0], roadmap.covariances[:0], uniform, 0.2, "m")
     assert isinstance(none, Uniform) and none.name == "m: uniform"

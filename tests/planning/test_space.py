@@ -8,7 +8,6 @@ import pytest
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.scene.scene import SceneObject, pose
@@ -71,7 +70,7 @@ def test_exact_checks_answer_near_it_only(tight):
 
 def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
     space = ConstrainedSpace(tight)
-    solution = solve(tight, BiRRT(), ENOUGH, seed=0)
+    solution = solve(tight, "birrt", ENOUGH, seed=0)
     assert solution.plan.status is PlanStatus.SOLVED
     assert solution.plan.detail == "exact checks near start"
     assert solution.certificate.reasons == () and solution.solved
@@ -88,4 +87,4 @@ def test_what_touches_is_not_doubtful_but_refused(problem):
     space = ConstrainedSpace(blocked)
     assert space.doubtful == () and not space.valid(blocked.start)
     with pytest.raises(InvalidProblemError, match=r"start is in collision: .*block"):
-        solve(blocked, BiRRT(), ENOUGH, seed=0)
+        solve(blocked, "birrt", ENOUGH, seed=0)

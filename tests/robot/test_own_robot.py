@@ -13,7 +13,6 @@ from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
@@ -106,7 +105,7 @@ def test_a_locked_slider_leaves_an_arm_that_plans(slider_problem, slider_arm_urd
     problem = replace(
         slider_problem, robot=locked, scene=NOTHING, start=start[1:], goals=manifold.project(goal[1:])[None]
     )
-    assert solve(problem, BiRRT(), ENOUGH, seed=0).solved
+    assert solve(problem, "birrt", ENOUGH, seed=0).solved
 
 
 # ---------------------------------------------------------------- nothing in the way, or everything
@@ -114,9 +113,9 @@ def test_a_locked_slider_leaves_an_arm_that_plans(slider_problem, slider_arm_urd
 
 def test_scenes_without_obstacles_are_planned(problem):
     empty = replace(problem, scene=NOTHING)
-    assert solve(empty, BiRRT(), ENOUGH, seed=0).solved
+    assert solve(empty, "birrt", ENOUGH, seed=0).solved
     wall = SceneObject("picture of a wall", Box((3.0, 3.0, 3.0)), np.eye(4), obstacle=False)
-    assert solve(replace(problem, scene=Scene("seen only", (wall,))), BiRRT(), ENOUGH, seed=0).solved
+    assert solve(replace(problem, scene=Scene("seen only", (wall,))), "birrt", ENOUGH, seed=0).solved
 
 
 @pytest.fixture
@@ -132,7 +131,7 @@ def test_a_robot_that_overlaps_itself_at_rest_is_planned(bulky_urdf):
     assert robot.resting_overlaps
     problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
     assert ConstrainedSpace(problem).valid(problem.start)
-    assert solve(problem, BiRRT(), ENOUGH, seed=0).solved
+    assert solve(problem, "birrt", ENOUGH, seed=0).solved
 
 
 def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, tmp_path):

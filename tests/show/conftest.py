@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 
@@ -26,4 +25,4 @@ def every_shape():
 @pytest.fixture(scope="package")
 def unsolved(problem):
     """What came of `problem` in too little time."""
-    return solve(problem, BiRRT(), Budget(iterations=1), seed=0)
+    return solve(problem, "birrt", Budget(iterations=1), seed=0)

@@ -1,6 +1,7 @@
 """Tasks of several phases: one planned whole, its rows and table, json, and everything that must be refused."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from cli.main import main
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
@@ -21,7 +23,7 @@ from cvqmpt_lab.scene.scene import SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.show import task_recording as task_viewer
 from cvqmpt_lab.show.task_still import draw_task
-from cvqmpt_lab.tasks.solve_task import ANY_ROBOT, NEEDS_CONSTRAINT, solve_task, suited
+from cvqmpt_lab.tasks.solve_task import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
 from experiments.suites.door_task import OPEN
@@ -44,7 +46,7 @@ def task():
 
 @pytest.fixture(scope="module")
 def solution(task):
-    return solve_task(task, BiRRT(), BUDGET, seed=0)
+    return solve_task(task, "birrt", BUDGET, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +99,7 @@ def test_the_can_is_in_the_way_until_it_is_grasped(solution):
 
 
 def test_same_seed_same_motion(task, solution):
-    again = solve_task(task, BiRRT(), BUDGET, seed=0)
+    again = solve_task(task, "birrt", BUDGET, seed=0)
     for a, b in zip(again.outcomes, solution.outcomes, strict=True):
         np.testing.assert_array_equal(a.solution.simplified.path.states, b.solution.simplified.path.states)
 
@@ -113,22 +115,21 @@ def test_tasks_differ_and_are_drawn_within_the_stated_square():
 
 
 class FailsOnce:
-    """birrt, but the first planning run to the end of a named phase finds nothing."""
-
-    name = "birrt"
+    """birrt, but the first planning run to the end of a named phase finds nothing, slowly."""
 
     def __init__(self, phase):
         self.phase, self.failed = phase, False
 
-    def plan(self, space, *arguments):
+    def search(self, space, *arguments):
         if space.problem.name.endswith(self.phase) and not self.failed:
             self.failed = True
+            time.sleep(0.5)
             return PlanResult(PlanStatus.TIMEOUT, None, 0.5, Counters(), 0, "none")
-        return BiRRT().plan(space, *arguments)
+        return BiRRT().search(space, *arguments)
 
 
 def test_another_grasp_is_tried_when_a_later_phase_fails(task):
-    solution = solve_task(task, FailsOnce("carry"), BUDGET, seed=0)
+    solution = solve_task(task, Method.simple("birrt", search=FailsOnce("carry")), BUDGET, seed=0)
     assert solution.solved
     approach = next(outcome for outcome in solution.outcomes if outcome.phase.name == "approach")
     assert len(approach.attempts) == 2
@@ -142,7 +143,7 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
 
 def test_a_goal_out_of_reach_names_phase_and_cause(task):
     far = TaskSpaceRegion(pose((3.0, 0.0, 0.5)), np.eye(4), np.zeros((6, 2)))
-    solution = solve_task(changed(task, "carry", goal=far), BiRRT(), BUDGET, seed=0)
+    solution = solve_task(changed(task, "carry", goal=far), "birrt", BUDGET, seed=0)
     assert not solution.solved
     assert solution.failure.startswith("phase 'carry': no goal: of 100 poses, 100 without inverse kinematics")
     rows = phase_rows("multi-sequence", "birrt", 0, "compiled", solution)
@@ -152,7 +153,7 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
 
 def test_phases_after_a_failed_one_are_failures_too(task):
     wall = SceneObject("wall", Box((0.3, 0.3, 0.3)), pose((0.34, -0.485, 0.757)))
-    solution = solve_task(replace(task, scene=world().with_objects(wall)), BiRRT(), BUDGET, seed=0)
+    solution = solve_task(replace(task, scene=world().with_objects(wall)), "birrt", BUDGET, seed=0)
     rows = phase_rows("multi-sequence", "birrt", 0, "compiled", solution)
     assert [row.status for row in rows] == ["no_goal"] + ["not_reached"] * 4
     assert all("phase 'reach-handle'" in row.fail_reason for row in rows[1:])
@@ -241,24 +242,16 @@ def test_a_hand_that_closes_where_nothing_is(task):
         start.after(next(phase for phase in task.phases if isinstance(phase, Grasp)))
 
 
-def test_planners_that_cannot_be_used_in_a_phase_are_replaced_and_named(solution):
-    assert set(PLANNERS) - ANY_ROBOT == {"mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"}
+def test_methods_that_cannot_serve_a_phase_say_why(solution):
     problems = {outcome.phase.name: outcome.solution.problem for outcome in solution.outcomes}
-
-    class Named:
-        name = ""
-
-    def used(name, phase):
-        planner = Named()
-        planner.name = name
-        chosen, why = suited(planner, problems[phase])
-        return ("itself" if chosen is planner else chosen.name), why
-
-    for name in NEEDS_CONSTRAINT:
-        assert used(name, "carry") == ("itself", "") and used(name, "open-door") == ("itself", "")
-        assert used(name, "reach-can") == ("birrt", f"birrt instead: {name} needs a constraint")
-    assert used("cvq-mpt", "carry") == ("itself", "") and used("cvq-mpt", "reach-can") == ("itself", "")
-    assert used("cvq-mpt", "open-door")[0] == "birrt"
+    for name in ("ompl-projected", "atlas-rrt", "tb-rrt"):
+        method = PLANNERS[name]
+        assert method.unfit(problems["carry"]) == method.unfit(problems["open-door"]) == ""
+        assert "needs a constraint" in method.unfit(problems["reach-can"])
+    for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
+        assert PLANNERS[name].unfit(problems["carry"]) == PLANNERS[name].unfit(problems["reach-can"]) == ""
+        assert "weights are for" in PLANNERS[name].unfit(problems["open-door"])
+    assert all(PLANNERS["birrt"].unfit(problem) == "" for problem in problems.values())
 
 
 def test_rows_name_their_phases(rows):

@@ -19,7 +19,6 @@ from cli.main import main
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Path
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.limits import JointLimits
@@ -40,7 +39,7 @@ def solutions():
     """Certified solutions of four tuning problems."""
     problems = (place_problem(e) for e in TUNING_ENVIRONMENTS)
     solvable = islice((p for p in problems if not isinstance(p, UnsolvableProblem)), 4)
-    found = [solve(p, BiRRT(), Budget(iterations=20_000), seed=0, clearance=False) for p in solvable]
+    found = [solve(p, "birrt", Budget(iterations=20_000), seed=0, clearance=False) for p in solvable]
     assert all(s.solved for s in found)
     return found
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.mpnet_planner import MPNetPlanner, MPNetSettings
+from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts, MPNetSettings
 from cvqmpt_lab.methods.observation import Observer
+from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.models.mpnet.inference import MPNetInference
 from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
-from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
@@ -72,17 +72,17 @@ def cloud_of(problem):
     return np.array([item.T_world_object[:3, 3] for item in problem.scene.obstacles])
 
 
-def planner(robot, network=None, **settings):
+def mpnet_of(robot, network=None, observe=cloud_of, **settings):
+    """A method whose rollouts are those of a network."""
     checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
-    return MPNetPlanner(checkpoint, cloud_of, MPNetSettings(**settings))
+    return Method.simple(
+        "mpnet", predict=MPNetRollouts(checkpoint, MPNetSettings(**settings)), observe=observe
+    )
 
 
-def plan(problem, planner, budget=ENOUGH, seed=0):
-    sampler = Uniform(problem.robot.lower, problem.robot.upper)
-    space = ConstrainedSpace(problem)
-    return planner.plan(
-        space, problem.start, problem.goals, sampler, budget, np.random.default_rng(seed)
-    ), space
+def plan(problem, method, budget=ENOUGH, seed=0):
+    """What the method finds."""
+    return solve(problem, method, budget, seed, clearance=False).plan
 
 
 # ---------------------------------------------------------------- the network in numpy
@@ -129,7 +129,7 @@ def test_points_are_drawn_without_replacement_while_they_last():
 
 @pytest.mark.parametrize("make", [heading_network, random_network])
 def test_it_solves_a_place_problem(tuning, make):
-    solution = solve(tuning, planner(tuning.robot, make()), ENOUGH, seed=0)
+    solution = solve(tuning, mpnet_of(tuning.robot, make()), ENOUGH, seed=0)
     assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
     np.testing.assert_array_equal(solution.plan.path.states[0], tuning.start)
     assert (tuning.goals == solution.plan.path.states[-1]).all(axis=1).any()
@@ -139,33 +139,33 @@ def test_it_solves_a_place_problem(tuning, make):
 
 
 def test_the_same_seed_gives_the_same_path_bit_for_bit(tuning):
-    mpnet = planner(tuning.robot)
-    first, again, other = (plan(tuning, mpnet, seed=seed)[0] for seed in (3, 3, 4))
+    mpnet = mpnet_of(tuning.robot)
+    first, again, other = (plan(tuning, mpnet, seed=seed) for seed in (3, 3, 4))
     assert path_hash(first.path) == path_hash(again.path) and first.counters == again.counters
     assert path_hash(first.path) != path_hash(other.path)
 
 
 @pytest.mark.parametrize("limit", [1, 7, 60])
 def test_iterations_stay_within_the_budget(tuning, limit):
-    result, _ = plan(tuning, planner(tuning.robot), Budget(iterations=limit))
+    result = plan(tuning, mpnet_of(tuning.robot), Budget(iterations=limit))
     assert result.counters.iterations <= limit
     assert result.path is not None or result.status is PlanStatus.ITERATION_LIMIT
 
 
 def test_seconds_end_a_run(tuning):
-    result, _ = plan(tuning, planner(tuning.robot), Budget(seconds=1e-6))
+    result = plan(tuning, mpnet_of(tuning.robot), Budget(seconds=1e-6))
     assert result.status is PlanStatus.TIMEOUT and result.path is None
 
 
 def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
-    result, _ = plan(tuning, planner(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6))
+    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6))
     assert result.status is PlanStatus.ITERATION_LIMIT and result.detail == "all 3 rollouts failed"
     assert result.counters.iterations == 3 * 6
 
 
 def test_without_dropout_a_state_is_proposed_once(tuning):
-    stuck = planner(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6, dropout=False)
-    result, _ = plan(tuning, stuck)
+    stuck = mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6, dropout=False)
+    result = plan(tuning, stuck)
     assert result.counters.iterations == 3
 
 
@@ -173,34 +173,28 @@ def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
     settings = {"predictions": 1, "rollouts": 1, "share": 1.0}
     solved = {}
     for bridge in (True, False):
-        short = planner(tuning.robot, heading_network(share=0.1), bridge=bridge, **settings)
-        solved[bridge] = plan(tuning, short)[0].path is not None
+        short = mpnet_of(tuning.robot, heading_network(share=0.1), bridge=bridge, **settings)
+        solved[bridge] = plan(tuning, short).path is not None
     assert solved == {True: True, False: False}
 
 
 def test_another_cloud_is_another_answer(tuning):
-    mpnet = planner(tuning.robot, random_network())
-    other = planner(tuning.robot, random_network())
-    other.cloud_of = lambda problem: cloud_of(problem) + 3.0
-    assert path_hash(plan(tuning, mpnet)[0].path) != path_hash(plan(tuning, other)[0].path)
+    mpnet = mpnet_of(tuning.robot, random_network())
+    other = mpnet_of(tuning.robot, random_network(), lambda problem: cloud_of(problem) + 3.0)
+    assert path_hash(plan(tuning, mpnet).path) != path_hash(plan(tuning, other).path)
 
 
 def test_bad_input_is_named(tuning):
-    lower, upper = robot_signature(tuning.robot).lower, robot_signature(tuning.robot).upper
-    stranger = MPNetCheckpoint(RobotSignature("leg", lower, upper), random_network())
-    with pytest.raises(InvalidInputError, match="robot 'leg', not 'panda'"):
-        plan(tuning, MPNetPlanner(stranger, cloud_of))
-    blind = MPNetCheckpoint(robot_signature(tuning.robot), random_network())
     with pytest.raises(InvalidInputError, match="0 points"):
-        plan(tuning, MPNetPlanner(blind, lambda problem: np.empty((0, 3))))
+        plan(tuning, mpnet_of(tuning.robot, random_network(), lambda problem: np.empty((0, 3))))
     for values in ({"rollouts": 0}, {"attempts": 0}, {"share": 0.0}, {"share": 1.5}):
         with pytest.raises(InvalidInputError, match=next(iter(values))):
             MPNetSettings(**values)
 
 
-def test_by_default_cameras_give_as_many_points_as_the_network_takes(tuning):
-    checkpoint = MPNetCheckpoint(robot_signature(tuning.robot), random_network())
-    assert MPNetPlanner(checkpoint).cloud_of(tuning).shape == (CONFIG.n_points, 3)
+def test_shipped_mpnet_looks_with_as_many_points_as_it_takes(tuning):
+    stages = PLANNERS["mpnet"].stages(tuning)
+    assert stages.observe(tuning).shape == (stages.predict.network.config.n_points, 3)
 
 
 # ---------------------------------------------------------------- what it stands on
