@@ -4,6 +4,7 @@ import argparse
 import importlib
 import os
 import sys
+from importlib.metadata import version
 from typing import NoReturn
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
@@ -52,6 +53,7 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action="version", version=f"cvqmpt_lab {version('cvqmpt-lab')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     asked = next((word for word in argv if word in COMMANDS), None)
     if asked != "train":

@@ -43,6 +43,13 @@ def add_budget(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """--model."""
+    parser.add_argument(
+        "--model", metavar="DIR", help="weights of the planner: a folder of your own (those of the package)"
+    )
+
+
 def budget(args: argparse.Namespace) -> Budget:
     """The budget asked for; 10 s when nothing was."""
     seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff

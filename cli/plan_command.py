@@ -1,13 +1,17 @@
 """`cvqmpt plan`: one problem, one planner, a short human report."""
 
 import argparse
+import logging
 import math
 import sys
+from functools import partial
 from pathlib import Path
 
-from cli.options import add_budget, budget, writable_file
+from cli.options import add_budget, add_model, budget, writable_file
+from cli.plan_report import as_json, report
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import write_text
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Path as JointPath
@@ -23,6 +27,7 @@ EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
     "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
     "cvqmpt plan --task-file task.json --planner guided-birrt",
+    "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 MULTI_SEQUENCE = "multi-sequence"
@@ -64,7 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="its joints' acceleration limits, one each or one for all [rad/s^2]; --trajectory needs them",
     )
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
+    add_model(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
+    parser.add_argument("--json", action="store_true", help="print one json object instead of the report")
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", help="say on standard error what happens inside"
+    )
     add_budget(parser)
     parser.add_argument("--save", type=Path, metavar="RUN.rrd", help="write a rerun recording")
     parser.add_argument("--view", action="store_true", help="open the rerun viewer")
@@ -94,23 +104,26 @@ def run(args: argparse.Namespace) -> int:
         return _plan_task(args)
     if args.picture is not None:
         raise InvalidInputError("--picture goes with a task; --save shows the solution of a problem")
-    planner = planner_named(args.planner)
+    method = planner_named(args.planner, args.model)
     problem = _problem(args)
     _check_timing(args, problem)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-    solution = solve(problem, planner, budget(args), args.seed, backend=args.backend)
-    print("\n".join(report(solution, args.planner)))
+    if args.verbose:
+        logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
+    solution = solve(problem, method, budget(args), args.seed, backend=args.backend)
+    print(as_json(solution, args.planner) if args.json else "\n".join(report(solution, args.planner)))
+    say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and solution.simplified:
         _write_path(args.save_path, solution)
-        print(f"path written to {args.save_path}")
+        say(f"path written to {args.save_path}")
     if args.trajectory:
-        print(_write_trajectory(args, solution))
+        say(_write_trajectory(args, solution))
     if args.save or args.view:
         from cvqmpt_lab.show.recording import log_solution
 
         log_solution(solution, save=args.save, view=args.view)
         if args.save:
-            print(f"recording written to {args.save}; open it with: rerun {args.save}")
+            say(f"recording written to {args.save}; open it with: rerun {args.save}")
     return 0 if solution.solved else 1
 
 
@@ -195,39 +208,11 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
     problem.robot.joint_limits.scaled(args.speed)
 
 
-def report(solution: Solution, planner: str) -> list[str]:
-    """The lines a person reads."""
-    plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
-    counts = plan.counters
-    lines = [
-        f"problem     {solution.problem.name}: robot {solution.problem.robot.name}, "
-        f"{len(solution.problem.goals)} goals",
-        f"planner     {planner}, samples: {plan.sampler}",
-        f"status      {plan.status}{': ' + plan.detail if plan.detail else ''}",
-        f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
-        + (f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""),
-        f"counts      {counts.projections} projections, {counts.newton_iterations} Newton iterations, "
-        f"{counts.state_checks} state checks, {plan.vertices} vertices",
-    ]
-    if plan.path is not None and shorter is not None:
-        lines.append(f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
-    if certificate is not None:
-        verdict = "valid" if certificate.valid else "INVALID: " + "; ".join(certificate.reasons)
-        lines.append(
-            f"certificate {verdict} ({certificate.states_checked} states, off the manifold by at most "
-            f"{certificate.max_violation_rad:.1e} rad and {certificate.max_violation_m:.1e} m, "
-            f"clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
-        )
-    return lines
-
-
 def _write_path(path: Path, solution: Solution) -> None:
     assert solution.simplified is not None
     header = ",".join(solution.problem.robot.joint_names)
     rows = "\n".join(",".join(repr(float(x)) for x in q) for q in solution.simplified.path.states)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(f"{header}\n{rows}\n")
-    temporary.replace(path)
+    write_text(path, f"{header}\n{rows}\n")
 
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:

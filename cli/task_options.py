@@ -60,7 +60,7 @@ def _write_task_files(out: Path, tasks: tuple[int, ...]) -> Path:
 def run_one_task(args: argparse.Namespace) -> int:
     """Plan the task of --task-file, or one of the ten; exit code 1 when a phase has no certified path."""
     task = Task.load(args.task_file) if args.task_file else multi_sequence_task(args.problem)
-    planner = planner_named(args.planner)
+    planner = planner_named(args.planner, args.model)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)

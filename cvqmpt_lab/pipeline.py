@@ -1,5 +1,6 @@
 """The whole story of one planning run; newcomers start here."""
 
+import logging
 import time
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 
 MAX_GOALS = 20
+_log = logging.getLogger("cvqmpt")
 
 
 @dataclass(frozen=True)
@@ -69,13 +71,18 @@ def solve(
     check_problem(problem)
     stages = method.stages(problem)
     observation = _observe(stages, problem)
+    _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
+    _log.info("cloud of %s points", "no" if observation.cloud is None else len(observation.cloud))
     space, rng = ConstrainedSpace(problem, backend), np.random.default_rng(seed)
 
     query = Query.of(space, budget, rng)
     proposal = stages.predict(query, observation)
     if stages.update is not None:
         proposal = stages.update(query, proposal)
+
+    _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.allowance.seconds)
     plan = search(stages.search, query, proposal)
+    _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
 
     if space.doubtful:
         exact = f"exact checks near {', '.join(space.doubtful)}"

@@ -6,9 +6,12 @@ from collections.abc import Callable
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import compiled_before
+from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.roadmap import Roadmap
+from cvqmpt_lab.planning.roadmap_proposals import RoadmapPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from experiments.suites.place_task import place_problem
@@ -31,6 +34,10 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
         seed=0,
         clearance=False,
     )
+    nodes = problem.robot.random_configurations(np.random.default_rng(0), 64)
+    roadmap = RoadmapPath(Roadmap.of(nodes, np.tile(np.eye(problem.robot.dof), (len(nodes), 1, 1))))
+    through = Method.simple("roadmap", predict=roadmap)
+    solve(problem, through, Budget(iterations=20), seed=0, clearance=False)
     space = ConstrainedSpace(problem)
     q = np.array(problem.start)
     space.project(q)

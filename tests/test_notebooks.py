@@ -7,12 +7,12 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-from cvqmpt_lab.prediction.shipped import WEIGHTS
+from cvqmpt_lab.prediction.weights import WEIGHTS
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 SECONDS = 300.0  # for one cell, kernels being compiled included
-NEED_WEIGHTS = ("load_shipped(", "in PLANNERS")  # notebooks with these words load the shipped weights
+NEED_WEIGHTS = ("load_vq_mpt(", "in PLANNERS")  # notebooks with these words load the shipped weights
 
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 

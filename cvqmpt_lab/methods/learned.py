@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
 from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.robot_signature import OtherRobotError
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
@@ -30,7 +30,7 @@ from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaus
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.prediction import Prediction
 from cvqmpt_lab.prediction.predictor import AS_PUBLISHED, Predictor, PredictorSettings
-from cvqmpt_lab.prediction.shipped import shipped_model_folder
+from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cameras import CameraSettings
@@ -103,7 +103,7 @@ class MovedCodes:
 
 @lru_cache(maxsize=4)
 def _checkpoint(weights: Weights) -> Checkpoint | MPNetCheckpoint:
-    folder = weights.model or shipped_model_folder(weights.kind)
+    folder = resolve_model(weights.model or weights.kind, SHIPPED[weights.kind])
     return LOADERS[weights.kind](folder)
 
 
@@ -117,7 +117,7 @@ def difference(weights: Weights, robot: Robot) -> str:
     """Why weights cannot serve a robot, or ""."""
     try:
         _checkpoint(weights).robot.require_same(robot_signature(robot))
-    except InvalidInputError as error:
+    except OtherRobotError as error:
         return str(error)
     return ""
 

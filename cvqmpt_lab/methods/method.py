@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -38,8 +37,8 @@ class Weights:
 
     kind: str
     """Key of `prediction.weights.SHIPPED`."""
-    model: Path | None = None
-    """Folder; None for the shipped ones."""
+    model: str | None = None
+    """Name or folder, see `prediction.weights.resolve_model`; None for the shipped ones."""
 
     def unfit(self, robot: Robot) -> str:
         """Why the weights cannot serve a robot, or ""."""
@@ -65,7 +64,7 @@ class Method:
         fixed = Stages(**stages)
         return Method(name, lambda robot, weights: fixed, needs_constraint=needs_constraint)
 
-    def with_model(self, model: Path) -> "Method":
+    def with_model(self, model: str) -> "Method":
         """The same on other weights.
 
         Raises

@@ -1,7 +1,6 @@
 """The methods by name: the columns of the paper's tables, ours, and controls that isolate one part each."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import ModuleType
 
 from cvqmpt_lab.errors import UnknownChoiceError
@@ -80,8 +79,8 @@ CONTROLS = _by_name(
 WITHOUT_WEIGHTS = frozenset({*PLANNERS, *CONTROLS}) - names_with_weights({**PLANNERS, **CONTROLS})
 
 
-def planner_named(name: str, model: Path | None = None) -> Method:
-    """The planner or control of that name, on the weights of a folder or the shipped ones.
+def planner_named(name: str, model: str | None = None) -> Method:
+    """The planner or control of that name, on the weights of a name or folder, or the shipped ones.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.prediction.collision_head import free_probability
-from cvqmpt_lab.prediction.shipped import load_shipped
+from cvqmpt_lab.prediction.weights import load_vq_mpt
 from experiments.rows import path_hash
 from experiments.suites.place_task import place_problem
 
@@ -61,7 +61,7 @@ def test_the_head_sees_the_scene(problem, roadmap):
     """Its verdict agrees with exact checks more often than not, and another cloud changes it."""
     space, nodes = ConstrainedSpace(problem), roadmap.nodes
     free = space.valid_batch(nodes)
-    cloud, checkpoint = Observer()(problem), load_shipped(problem.robot)
+    cloud, checkpoint = Observer()(problem), load_vq_mpt(problem.robot)
     belief = free_probability(checkpoint, problem.robot, cloud, nodes)
     assert belief[free].mean() > belief[~free].mean() + 0.15
     blocked = believed_blocked(PLANNERS["roadmap-cvq"].weights, roadmap)

@@ -1,0 +1,109 @@
+"""What `cvqmpt plan` says of a solution: lines for people, or one json object for programs."""
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from cvqmpt_lab.constraints.report import BoundUse, bound_usage
+from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.problem import PlanningProblem
+
+
+def uses_of(solution: Solution) -> tuple[BoundUse, ...]:
+    """How much of every bound of the constraint the path found uses; of the start where there is no path."""
+    problem, shorter = solution.problem, solution.simplified
+    states = problem.start[None] if shorter is None else shorter.path.states
+    return bound_usage(problem.robot, problem.constraint, states)
+
+
+def report(solution: Solution, planner: str) -> list[str]:
+    """The lines a person reads."""
+    plan, shorter = solution.plan, solution.simplified
+    counts = plan.counters
+    lines = [
+        f"problem     {solution.problem.name}: robot {solution.problem.robot.name}, "
+        f"{len(solution.problem.goals)} goals",
+        f"constraint  {_constraint(solution.problem, uses_of(solution), shorter is not None)}",
+        f"planner     {planner}, samples: {plan.sampler}",
+        f"status      {_status(solution)}",
+        f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
+        + (f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""),
+        f"counts      {counts.projections} projections, {counts.newton_iterations} Newton iterations, "
+        f"{counts.state_checks} state checks, {plan.vertices} vertices",
+    ]
+    if plan.path is not None and shorter is not None:
+        lines.append(f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
+    if solution.certificate is not None:
+        lines.append(f"certificate {_verdict(solution)}")
+    return lines
+
+
+def _status(solution: Solution) -> str:
+    """How the plan ended, and by what if not by what the planner's name promises."""
+    plan = solution.plan
+    how = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
+    return f"{how} ({plan.detail})" if plan.detail else how
+
+
+def _constraint(problem: PlanningProblem, uses: Sequence[BoundUse], has_path: bool) -> str:
+    """Largest value of every bounded entry against its bound."""
+    if not problem.constraint:
+        return "none: the hand may tilt and move as it likes"
+    if not uses:
+        return "all entries free"
+    return "; ".join(map(str, uses)) + (" at most" if has_path else " at the start")
+
+
+def _verdict(solution: Solution) -> str:
+    certificate = solution.certificate
+    assert certificate is not None
+    verdict = "valid" if certificate.valid else "INVALID: " + "; ".join(certificate.reasons)
+    return f"{verdict} ({certificate.states_checked} states, clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
+
+
+def as_json(solution: Solution, planner: str) -> str:
+    """The same as one json object, with the path's states; undefined numbers are null."""
+    plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
+    problem = solution.problem
+    data: dict[str, Any] = {
+        "problem": problem.name,
+        "robot": problem.robot.name,
+        "joints": list(problem.robot.joint_names),
+        "goals": len(problem.goals),
+        "constraint": [
+            {"region": use.region, "row": use.row, "value": use.value, "lower": use.lower, "upper": use.upper}
+            for use in uses_of(solution)
+        ],
+        "planner": planner,
+        "sampler": plan.sampler,
+        "status": str(plan.status),
+        "fallback": plan.fallback,
+        "detail": plan.detail,
+        "solved": solution.solved,
+        "seconds": {
+            "goals": solution.goal_seconds,
+            "observe": solution.observe_seconds,
+            "encode": plan.timings.encode,
+            "predict": plan.timings.predict,
+            "optimize": plan.timings.optimize,
+            "search": plan.search_seconds,
+            "simplify": shorter.seconds if shorter else None,
+        },
+        "counts": vars(plan.counters) | {"vertices": plan.vertices},
+        "length_rad": shorter.path.length if shorter else None,
+        "certificate": None
+        if certificate is None
+        else vars(certificate) | {"valid": certificate.valid, "reasons": list(certificate.reasons)},
+        "path": shorter.path.states.tolist() if shorter else None,
+    }
+    return json.dumps(_finite(data), indent=1, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    """The same with null for numbers that json cannot say."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return [_finite(item) for item in value] if isinstance(value, list) else value
