@@ -31,7 +31,7 @@ def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
     assert len(re.findall(r"^(?:from|import) ", example, re.MULTILINE)) == 1
     monkeypatch.chdir(tmp_path)
-    assert main(["problems", "export", "place-task", "--out", "problems"]) == 0
+    assert main(["problems", "export", "place-task", "--problems", "8", "--out", "problems"]) == 0
     capsys.readouterr()
     exec(compile(example, "README.md", "exec"), {})
     assert re.fullmatch(r"solved \d+\.\d+ True\n", capsys.readouterr().out)
