@@ -29,7 +29,8 @@ from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.prediction import Prediction
-from cvqmpt_lab.prediction.predictor import AS_PUBLISHED, Predictor, PredictorSettings
+from cvqmpt_lab.prediction.predictor import Predictor
+from cvqmpt_lab.prediction.settings import AS_PUBLISHED, PredictorSettings
 from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot

@@ -15,15 +15,12 @@ from cvqmpt_lab.models.published.attention import EPSILON
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What the compact model's refinement head adds to each code's Gaussian; it does not move with z.
-
-    Attributes
-    ----------
-    shift: (c, n), of the mean. std: (c, n), of each joint, uncorrelated. Both in normalised joints.
-    """
+    """What the compact model's refinement head adds to each code's Gaussian; it does not move with z."""
 
     shift: np.ndarray
+    """(c, n), of the mean, normalised joints."""
     std: np.ndarray
+    """(c, n), of each joint, uncorrelated, normalised joints."""
 
     def __getitem__(self, index: np.ndarray | slice) -> "Refinement":
         """Those of some codes."""
@@ -32,15 +29,12 @@ class Refinement:
 
 @dataclass(frozen=True, eq=False)
 class CodeGaussians:
-    """Gaussians of codes: u = mean + scale @ eps.
-
-    Attributes
-    ----------
-    mean: (c, n), normalised joints. scale: (c, n, n), lower triangular.
-    """
+    """Gaussians of codes: u = mean + scale @ eps."""
 
     mean: np.ndarray
+    """(c, n), normalised joints."""
     scale: np.ndarray
+    """(c, n, n), lower triangular."""
     _decoder: "CodeDecoder" = field(repr=False)
     _lower: np.ndarray = field(repr=False)
     _root: np.ndarray = field(repr=False)

@@ -27,27 +27,23 @@ _SLSQP_ITERATIONS = 100
 
 @dataclass(frozen=True, kw_only=True)
 class LatentSettings:
-    """How codes are moved.
-
-    Attributes
-    ----------
-    method: ``adam``; ``gradient``, plain descent as the paper prints it; ``slsqp``, the published code's
-        solver on one code after the other, unconstrained, its result scaled to unit length.
-    eta: step size; of ``adam`` roughly how far each entry of z moves in a step.
-    steps: at most; ``slsqp`` has its own 100.
-    samples: draws per code that G and its gradient are estimated with.
-    delta: a code stops after a step shorter than this.
-    trust: weight of |z - z0|^2, added to G, which keeps codes near where they were predicted.
-    check_samples: fresh draws per code on which a moved code must be better, or it is moved back.
-    """
+    """How codes are moved."""
 
     method: Method = "adam"
+    """``adam``; ``gradient``, plain descent as the paper prints it; ``slsqp``, the published code's solver on one
+    code after the other, unconstrained, its result scaled to unit length."""
     eta: float = 0.05
+    """Step size; of ``adam`` roughly how far each entry of z moves in a step."""
     steps: int = 5
+    """At most; ``slsqp`` has its own 100."""
     samples: int = 16
+    """Draws per code that G and its gradient are estimated with."""
     delta: float = 1e-3
+    """A code stops after a step shorter than this."""
     trust: float = 0.0
+    """Weight of |z - z0|^2, added to G, which keeps codes near where they were predicted."""
     check_samples: int = 32
+    """Fresh draws per code on which a moved code must be better, or it is moved back."""
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -65,23 +61,20 @@ class LatentSettings:
 
 @dataclass(frozen=True, eq=False)
 class Optimized:
-    """Codes after optimization.
-
-    Attributes
-    ----------
-    z: (c, code_dim), unit length.
-    g_before, g_after: (c,), G estimated on the same fresh draws [the constraint's units, squared].
-    kept: (c,) bool, codes left where they were because moving did not lower G.
-    steps: (c,) int64, steps taken; of ``slsqp`` its iterations.
-    seconds: wall-clock time of everything.
-    """
+    """Codes after optimization."""
 
     z: np.ndarray
+    """(c, code_dim), unit length."""
     g_before: np.ndarray
+    """(c,), G estimated on fresh draws [the constraint's units, squared]."""
     g_after: np.ndarray
+    """(c,), G on the same draws afterwards."""
     kept: np.ndarray
+    """(c,) bool, codes left where they were because moving did not lower G."""
     steps: np.ndarray
+    """(c,) int64, steps taken; of ``slsqp`` its iterations."""
     seconds: float
+    """Wall-clock time of everything."""
 
 
 class LatentOptimizer:

@@ -4,23 +4,23 @@ import hashlib
 import time
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 import torch
 
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.compact.inference import CompactInference
 from cvqmpt_lab.models.compact.sequence_model import CompactScene, CompactSequenceModel
-from cvqmpt_lab.models.decoding.beam_search import CodeSequence, Scoring, beam_search, sample_sequences
+from cvqmpt_lab.models.decoding.beam_search import CodeSequence, beam_search, sample_sequences
 from cvqmpt_lab.models.decoding.step_decoder import StepDecoder
 from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
 from cvqmpt_lab.models.published.sequence_model import PublishedScene, PublishedSequenceModel
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.prediction.prediction import CodeUnion, Prediction
+from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.robot.robot import Robot
 
 GOAL_STD = 0.1
@@ -29,67 +29,6 @@ LIMIT_TOLERANCE = 1e-6
 """Start and goals may leave the joint limits by this much [rad or m]."""
 SMALLEST_STD = 1e-4
 """No Gaussian is narrower in any direction [rad], so that its covariance stays positive definite."""
-
-Decoding = Literal["beam", "sampled"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PredictorSettings:
-    """How sequences are decoded and what the mixture is made of.
-
-    Defaults were chosen on the tuning environments; the authors' are `AS_PUBLISHED`.
-    """
-
-    decoding: Decoding = "beam"
-    """``beam``, one sequence per goal, or ``sampled``, the union of several."""
-    beams: int = 3
-    """K of the paper's eqn. prob_eqn."""
-    scoring: Scoring = "log-probability"
-    """What beams are ranked by, see `beam_search`."""
-    sequences: int = 8
-    """Sampled sequences per goal."""
-    temperature: float = 1.0
-    """How boldly they are sampled."""
-    max_length: int | None = None
-    """Tokens predicted at most, the goal token included; None for the model's own length."""
-    goal_gaussian: bool = True
-    """Also a Gaussian of 10 % of each joint's range around every goal (published code; the paper has none)."""
-    repeated_codes: bool = False
-    """A code that a goal's sequences hold several times counts as often in the mixture (published code)."""
-    uniform_share: float = 0.5
-    """Of samples drawn uniformly between the joint limits; 0 leaves the mixture without a tail."""
-    uniform_without_codes: bool = False
-    """Sample uniformly when no sequence reaches a goal (published code), else around the goals alone."""
-    std_floor: float | None = 0.8
-    """Gaussians are widened until no direction is narrower than this [rad]; None to leave them."""
-    scenes: int = 8
-    """How many encoded clouds are kept."""
-    name: str = "cvq-mpt"
-
-    def __post_init__(self) -> None:
-        for name, value, kinds in (("decoding", self.decoding, Decoding), ("scoring", self.scoring, Scoring)):
-            if value not in get_args(kinds):
-                raise UnknownChoiceError(name, value, get_args(kinds))
-        for name in ("beams", "sequences", "scenes"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} of the predictor is {getattr(self, name)}; give at least 1")
-        if not 0.0 <= self.uniform_share <= 1.0:
-            raise InvalidInputError(f"uniform_share of the predictor is {self.uniform_share}; give 0 to 1")
-        if self.std_floor is not None and not self.std_floor > 0.0:
-            raise InvalidInputError(
-                f"std_floor of the predictor is {self.std_floor}; give more than 0 rad, or None"
-            )
-
-
-AS_PUBLISHED = PredictorSettings(
-    scoring="published",
-    repeated_codes=True,
-    uniform_share=0.0,
-    uniform_without_codes=True,
-    std_floor=None,
-    name="cvq-as-published",
-)
-"""What the authors' code does."""
 
 
 @dataclass(frozen=True, eq=False)

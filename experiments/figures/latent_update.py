@@ -15,7 +15,8 @@ from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings, Optimized
 from cvqmpt_lab.prediction.prediction import Prediction
-from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.prediction.predictor import Predictor
+from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from experiments.suites.place_task import UnsolvableProblem

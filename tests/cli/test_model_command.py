@@ -21,7 +21,8 @@ from cvqmpt_lab.models.robot_signature import OtherRobotError
 from cvqmpt_lab.models.weights_folder import checkpoint_sha256
 from cvqmpt_lab.prediction import weights
 from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.prediction.predictor import Predictor
+from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.prediction.weights import WEIGHTS, load_mpnet_for, load_vq_mpt, resolve_model
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,6 +13,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
 from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.predictor import Predictor
+from cvqmpt_lab.prediction.settings import PredictorSettings
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def predictor(request, panda, checkpoint):
     if not request.param:
         other = random_checkpoint(panda, config)
         checkpoint = replace(other, dictionary=checkpoint.dictionary)
-    return Predictor(checkpoint, panda)
+    return Predictor(checkpoint, panda, PredictorSettings(decoding="sampled"))
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,17 @@ import torch
 from small_models import METADATA, published_config, random_checkpoint, small_config
 from training_data import LOWER, UPPER, kinematics
 
+from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
-from cvqmpt_lab.prediction.predictor import GOAL_STD, Predictor, PredictorSettings
+from cvqmpt_lab.prediction.predictor import GOAL_STD, Predictor
+from cvqmpt_lab.prediction.settings import AS_PUBLISHED, PredictorSettings
 from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
 
-BEAM = PredictorSettings(decoding="beam")
+BEAM = PredictorSettings(uniform_share=0.15, std_floor=None)
+SAMPLED = dataclasses.replace(BEAM, decoding="sampled")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +49,7 @@ def test_configurations_are_those_of_training(panda, checkpoint):
 
 
 def test_every_goal_has_the_distinct_codes_of_its_finished_sequences(panda, checkpoint, queries):
-    prediction = predict(Predictor(checkpoint, panda), queries)
+    prediction = predict(Predictor(checkpoint, panda, SAMPLED), queries)
     assert len(prediction.sequences) == 6 and {len(s) for s in prediction.sequences} == {8}
     assert any(len(one.codes) > 3 for one in prediction.sequences[0])
     for goal, found in enumerate(prediction.sequences):
@@ -101,9 +104,9 @@ def test_goals_in_one_batch_are_predicted_as_alone(panda, checkpoint, queries):
 
 @pytest.mark.parametrize("decoding", ["beam", "sampled"])
 def test_a_known_scene_changes_nothing_but_the_time(panda, checkpoint, queries, decoding):
-    predictor = Predictor(checkpoint, panda, PredictorSettings(decoding=decoding))
+    predictor = Predictor(checkpoint, panda, dataclasses.replace(BEAM, decoding=decoding))
     first, again = predict(predictor, queries), predict(predictor, queries)
-    fresh = predict(Predictor(checkpoint, panda, PredictorSettings(decoding=decoding)), queries)
+    fresh = predict(Predictor(checkpoint, panda, dataclasses.replace(BEAM, decoding=decoding)), queries)
     assert (first.cached, again.cached, fresh.cached) == (False, True, False)
     for name in ("codes", "goal_of", "z", "mean_u", "covariance_u", "means", "covariances"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name), strict=True)
@@ -112,7 +115,7 @@ def test_a_known_scene_changes_nothing_but_the_time(panda, checkpoint, queries, 
 
 
 def test_the_least_recently_used_scene_is_forgotten(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, PredictorSettings(scenes=2))
+    predictor = Predictor(checkpoint, panda, dataclasses.replace(SAMPLED, scenes=2))
     clouds = [queries[0] + 0.1 * i for i in range(3)]
     assert [predictor.encode_scene(clouds[i]).cached for i in (0, 1, 0, 2, 0, 1)] == [
         False, False, True, False, True, False,
@@ -121,14 +124,12 @@ def test_the_least_recently_used_scene_is_forgotten(panda, checkpoint, queries):
 
 
 def test_samples_depend_on_the_seed_alone(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda)
+    predictor = Predictor(checkpoint, panda, SAMPLED)
     one, same, other = (predict(predictor, queries, seed) for seed in (1, 1, 2))
     assert one.sequences == same.sequences != other.sequences
 
 
-@pytest.mark.parametrize(
-    "settings", [BEAM, dataclasses.replace(BEAM, scoring="published"), PredictorSettings()]
-)
+@pytest.mark.parametrize("settings", [BEAM, dataclasses.replace(BEAM, scoring="published"), SAMPLED])
 def test_the_published_architecture_predicts_the_dictionary_s_gaussians(panda, queries, settings):
     checkpoint = random_checkpoint(panda, published_config(), goal_bias=6.0, metadata={})
     prediction = predict(Predictor(checkpoint, panda, settings), queries)
@@ -140,7 +141,7 @@ def test_the_published_architecture_predicts_the_dictionary_s_gaussians(panda, q
 
 
 def test_the_mixture_is_the_union_the_goals_and_a_uniform_share(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda)
+    predictor = Predictor(checkpoint, panda, SAMPLED)
     prediction = predict(predictor, queries)
     mixture = predictor.mixture(prediction)
     c, span = len(prediction.codes), panda.upper - panda.lower
@@ -160,7 +161,7 @@ def test_the_mixture_is_the_union_the_goals_and_a_uniform_share(panda, checkpoin
 
 
 def test_moved_codes_keep_their_refinement(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda)
+    predictor = Predictor(checkpoint, panda, SAMPLED)
     prediction = predict(predictor, queries)
     z = np.roll(prediction.z, 1, axis=0)
     mixture = predictor.mixture(prediction, z)
@@ -175,7 +176,7 @@ def test_moved_codes_keep_their_refinement(panda, checkpoint, queries):
 
 
 def test_gaussians_can_be_widened(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, PredictorSettings(std_floor=0.5))
+    predictor = Predictor(checkpoint, panda, dataclasses.replace(SAMPLED, std_floor=0.5))
     prediction = predict(predictor, queries)
     before = np.sqrt(np.linalg.eigvalsh(prediction.covariances))
     after = np.sqrt(np.linalg.eigvalsh(predictor.mixture(prediction).covariances))[: len(before)]
@@ -185,25 +186,35 @@ def test_gaussians_can_be_widened(panda, checkpoint, queries):
 
 def test_goals_that_are_never_reached_are_named(panda, queries):
     never = random_checkpoint(panda, goal_bias=-1e6)
-    predictor = Predictor(never, panda)
+    predictor = Predictor(never, panda, SAMPLED)
     prediction = predict(predictor, queries)
     assert prediction.unfinished == tuple(range(6)) and len(prediction.codes) == 0
+    np.testing.assert_array_equal(predictor.mixture(prediction).means, queries[2])
+    for settings in (dataclasses.replace(SAMPLED, goal_gaussian=False), AS_PUBLISHED):
+        assert isinstance(Predictor(never, panda, settings).mixture(prediction), Uniform)
+
+
+def test_as_published_repeated_codes_count_as_often_as_they_occur(panda, checkpoint, queries):
+    """Random weights repeat codes; the goal's Gaussian comes on top."""
+    predictor = Predictor(checkpoint, panda, AS_PUBLISHED)
+    prediction = predict(predictor, queries)
+    finished = [one for found in prediction.sequences for one in found if one.finished]
+    assert len(prediction.codes) == sum(len(one.codes) for one in finished)
+    once = predict(
+        Predictor(checkpoint, panda, dataclasses.replace(AS_PUBLISHED, repeated_codes=False)), queries
+    )
+    assert len(once.codes) == sum(len(set(one.codes)) for one in finished) < len(prediction.codes)
     mixture = predictor.mixture(prediction)
-    assert mixture.name == "cvq-mpt(unfinished 6 of 6)"
-    np.testing.assert_array_equal(mixture.means, queries[2])
-    bare = Predictor(never, panda, PredictorSettings(goal_gaussian=False, uniform_share=0.0))
-    mixture = bare.mixture(prediction)
-    assert mixture.name == "cvq-mpt(unfinished 6 of 6)" and mixture.uniform_share == 1.0
+    assert len(mixture.weights) == len(prediction.codes) + 6 and mixture.uniform_share == 0.0
 
 
 def test_some_goals_unfinished(panda, checkpoint, queries):
     """Few tokens, so that some sequences end in time and others do not."""
-    predictor = Predictor(checkpoint, panda, PredictorSettings(max_length=6, sequences=2))
+    predictor = Predictor(checkpoint, panda, dataclasses.replace(SAMPLED, max_length=6, sequences=2))
     prediction = predict(predictor, queries)
     lost = len(prediction.unfinished)
     assert 0 < lost < 6
     assert not set(prediction.goal_of) & set(prediction.unfinished)
-    assert predictor.mixture(prediction).name == f"cvq-mpt(unfinished {lost} of 6)"
 
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
@@ -231,7 +242,7 @@ CLOUD = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 3))
 def test_bad_input_is_one_line(panda, checkpoint, change, message):
     given = {"cloud": CLOUD, "start": HOME, "goals": [HOME]} | change
     with pytest.raises(InvalidInputError, match=message) as caught:
-        Predictor(checkpoint, panda).predict(**given, rng=np.random.default_rng(0))
+        Predictor(checkpoint, panda, SAMPLED).predict(**given, rng=np.random.default_rng(0))
     assert "\n" not in str(caught.value)
 
 

@@ -5,7 +5,8 @@ import numpy as np
 from cli.main import main
 from cvqmpt_lab.models.checkpoint import load_checkpoint
 from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.prediction.predictor import Predictor
+from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.robot.loading import panda
 
 
