@@ -10,7 +10,7 @@ from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.methods.method import Method, Stages
-from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.methods.table import planner_named, require_fit
 from cvqmpt_lab.planning.proposal import Observation
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
@@ -69,6 +69,7 @@ def solve(
     if len(problem.goals) == 0:
         return Solution(problem, no_plan(PlanStatus.NO_GOAL), goal_seconds=goal_seconds)
     check_problem(problem)
+    require_fit(method, problem)
     stages = method.stages(problem)
     observation = _observe(stages, problem)
     _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)

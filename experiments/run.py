@@ -168,7 +168,7 @@ def run_experiment(
 
 def model_hash(planners: Sequence[str]) -> str | None:
     """Hash of the shipped weights if any of the planners uses them."""
-    if set(planners) <= WITHOUT_WEIGHTS:
+    if set(planners) <= set(WITHOUT_WEIGHTS):
         return None
     from cvqmpt_lab.prediction.shipped import shipped_hash  # torch takes 2 s to import
 

@@ -17,7 +17,6 @@ from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
 from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
-from cvqmpt_lab.models.robot_signature import OtherRobotError
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
@@ -25,7 +24,6 @@ from cvqmpt_lab.planning.result import Path, Timings
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
 from cvqmpt_lab.prediction.collision_head import free_probability
-from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.prediction import Prediction
@@ -112,15 +110,6 @@ LOADERS: dict[str, Callable[[FilePath], Checkpoint | MPNetCheckpoint]] = {
     "vq_mpt": load_checkpoint,
     "mpnet": load_mpnet,
 }
-
-
-def difference(weights: Weights, robot: Robot) -> str:
-    """Why weights cannot serve a robot, or ""."""
-    try:
-        _checkpoint(weights).robot.require_same(robot_signature(robot))
-    except OtherRobotError as error:
-        return str(error)
-    return ""
 
 
 def _vq_mpt(weights: Weights) -> Checkpoint:

@@ -1,6 +1,6 @@
 """A method: how to observe, predict, update and search, with a name and what it needs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,9 +42,9 @@ class Weights:
 
     def unfit(self, robot: Robot) -> str:
         """Why the weights cannot serve a robot, or ""."""
-        from cvqmpt_lab.methods.learned import difference  # torch takes 2 s to import
+        from cvqmpt_lab.prediction.weights import unfit  # torch takes 2 s to import
 
-        return difference(self, robot)
+        return unfit(self.model or self.kind, self.kind, robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,29 +79,9 @@ class Method:
     def unfit(self, problem: PlanningProblem) -> str:
         """Why the method cannot serve a problem, or ""."""
         if self.needs_constraint and not problem.constraint:
-            return f"{self.name} needs a constraint, and the problem has none"
+            return "it needs a constraint, and the problem has none"
         return "" if self.weights is None else self.weights.unfit(problem.robot)
 
     def stages(self, problem: PlanningProblem) -> Stages:
-        """What it does with a problem's robot.
-
-        Raises
-        ------
-        InvalidInputError
-            Saying why the method cannot serve the problem, and which ones could.
-        """
-        if reason := self.unfit(problem):
-            from cvqmpt_lab.methods.table import PLANNERS
-
-            others = [name for name, method in PLANNERS.items() if _serves(method, problem)]
-            raise InvalidInputError(f"{reason}; planners that can: {', '.join(others)}")
+        """What it does with the robot of a problem that it can serve, see `unfit`."""
         return self.build(problem.robot, self.weights)
-
-
-def _serves(method: Method, problem: PlanningProblem) -> bool:
-    return method.weights is None and not (method.needs_constraint and not problem.constraint)
-
-
-def names_with_weights(methods: Mapping[str, Method]) -> frozenset[str]:
-    """Names of the methods that use trained weights."""
-    return frozenset(name for name, method in methods.items() if method.weights is not None)

@@ -3,9 +3,10 @@
 from collections.abc import Callable, Mapping
 from types import ModuleType
 
-from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.methods.method import Method, Stages, Weights, names_with_weights
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.planning.around_path import AroundPath, StraightLine, UnconstrainedPath
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -76,7 +77,7 @@ CONTROLS = _by_name(
     _cvq("opt-20-steps", update=20),
 )
 
-WITHOUT_WEIGHTS = frozenset({*PLANNERS, *CONTROLS}) - names_with_weights({**PLANNERS, **CONTROLS})
+WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None)
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
@@ -93,3 +94,17 @@ def planner_named(name: str, model: str | None = None) -> Method:
     if found is None:
         raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS])
     return found if model is None else found.with_model(model)
+
+
+def require_fit(method: Method, problem: PlanningProblem) -> None:
+    """Refuse a problem that a method cannot serve.
+
+    Raises
+    ------
+    InvalidInputError
+        Saying why, and which planners can.
+    """
+    reason = method.unfit(problem)
+    if reason:
+        others = [name for name in PLANNERS if name in WITHOUT_WEIGHTS and not PLANNERS[name].unfit(problem)]
+        raise InvalidInputError(f"{method.name}: {reason}; planners that can: {', '.join(others)}")

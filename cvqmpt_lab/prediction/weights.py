@@ -1,11 +1,13 @@
 """Where weights are: the one place that finds them by name or folder, for one robot."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import cvqmpt_lab
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
 from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.robot_signature import OtherRobotError, RobotSignature
 from cvqmpt_lab.models.weights_folder import checkpoint_folder, read_description
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.robot.robot import Robot
@@ -57,3 +59,17 @@ def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> Checkpoint:
 def load_mpnet_for(robot: Robot, model: str | Path | None = None) -> MPNetCheckpoint:
     """MPNet, likewise."""
     return load_mpnet(resolve_model(model, MPNetCheckpoint.architecture, robot), robot_signature(robot))
+
+
+@lru_cache(maxsize=8)
+def _signature(model: str, kind: str) -> RobotSignature:
+    return read_description(resolve_model(model, SHIPPED[kind]), SHIPPED[kind]).robot
+
+
+def unfit(model: str, kind: str, robot: Robot) -> str:
+    """Why the weights of a model (see `resolve_model`) cannot serve a robot, or ""; kind: a name of `SHIPPED`."""
+    try:
+        _signature(model, kind).require_same(robot_signature(robot))
+    except OtherRobotError as error:
+        return str(error)
+    return ""

@@ -245,4 +245,4 @@ def test_rows_made_with_weights_name_them():
     assert model_hash(("birrt", "tb-rrt")) is None
     assert model_hash(("birrt", "roadmap-cvq")) == shipped_hash()
     assert len(shipped_hash()) == 64
-    assert {*PLANNERS, *CONTROLS} > WITHOUT_WEIGHTS
+    assert {*PLANNERS, *CONTROLS} > set(WITHOUT_WEIGHTS)
