@@ -4,7 +4,6 @@ import argparse
 import importlib
 import os
 import sys
-from importlib.metadata import version
 from typing import NoReturn
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
@@ -42,6 +41,17 @@ class Parser(argparse.ArgumentParser):
         raise InvalidInputError(f"{message}; {self.prog} --help lists what can be given")
 
 
+class Version(argparse.Action):
+    """Print the version and leave; it is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Do it."""
+        from importlib.metadata import version
+
+        print(f"cvqmpt_lab {version('cvqmpt-lab')}")
+        parser.exit()
+
+
 def _module(command: str):
     return importlib.import_module(f"cli.{command.replace('-', '_')}_command")
 
@@ -53,7 +63,7 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"cvqmpt_lab {version('cvqmpt-lab')}")
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     asked = next((word for word in argv if word in COMMANDS), None)
     if asked != "train":
