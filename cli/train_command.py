@@ -6,6 +6,7 @@ import math
 import sys
 from pathlib import Path
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
     profile = _profile(args)
     if args.print_config:
-        print(json.dumps(profile.to_json(), indent=2))
+        print(json.dumps(to_plain(profile, complete=True), indent=2))
         return 0
     for name in ("data", "out"):
         if getattr(args, name) is None:
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def _profile(args: argparse.Namespace) -> Profile:
     if args.config is None:
         return profile_named(args.profile)
-    return Profile.from_json(read_json_object(args.config))
+    return from_plain(Profile, read_json_object(args.config), "profile")
 
 
 def _positive_int(text: str) -> int:

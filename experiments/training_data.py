@@ -29,7 +29,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
-from cvqmpt_lab.training.dataset import DESCRIPTION_FILE, FULL_SCALE, INDEX_FILE, SCHEMA, SHARDS_FOLDER
+from cvqmpt_lab.training.shards import DESCRIPTION_FILE, FULL_SCALE, INDEX_FILE, SCHEMA, SHARDS_FOLDER
 
 FIRST_SCENE = 10_000_000
 SCENES_PER_SEED = 1_000_000

@@ -16,17 +16,16 @@ class SerialChain:
     """Joints in a row, each turning about its own z axis, and points fixed to their links.
 
     frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base.
-
-    Attributes
-    ----------
-    rotation, translation: (n, 3, 3), (n, 3) [m], from one joint's frame to the next.
-    points: (k,) int64, the frame that each point moves with; offsets: (k, 3) [m], where in that frame.
     """
 
     rotation: np.ndarray
+    """(n, 3, 3), from one joint's frame to the next."""
     translation: np.ndarray
+    """(n, 3) [m], likewise."""
     points: np.ndarray
+    """(k,) int64, the frame that each point moves with."""
     offsets: np.ndarray
+    """(k, 3) [m], where in that frame."""
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], joints: int, where: str) -> "SerialChain":

@@ -65,21 +65,19 @@ def quantization_loss(quantized: Quantized, visible: Tensor, commitment: float) 
     return per_waypoint[visible].mean()
 
 
-def sequence_loss(logits: Tensor, targets: Tensor, visible: Tensor, trajectories: int) -> Tensor:
-    """Stage 2: cross entropy of the next code over all visible prefixes, per trajectory.
+def sequence_loss(logits: Tensor, targets: Tensor, trajectories: int) -> Tensor:
+    """Stage 2: cross entropy of the next code after every prefix, per trajectory.
 
     Parameters
     ----------
     logits
-        (..., n_classes): prediction after each prefix.
+        (r, n_classes): prediction after each prefix.
     targets
-        (...) int64: the next code of each, the goal class after the last.
-    visible
-        (...) bool: False where padded.
+        (r,) int64: the next code of each, the goal class after the last.
     trajectories
         What the sum is divided by.
     """
-    return F.cross_entropy(logits[visible], targets[visible], reduction="sum") / trajectories
+    return F.cross_entropy(logits, targets, reduction="sum") / trajectories
 
 
 def refinement_loss(gaussians: Gaussians, u: Tensor, visible: Tensor) -> Tensor:

@@ -2,19 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from cvqmpt_lab.models.checkpoint import save_checkpoint
 from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
-from cvqmpt_lab.training.augmentation import Augmentation
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.loop import Batch, OptimizerSettings
-from cvqmpt_lab.training.run_folder import Progress
-from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, other_scenes
+from cvqmpt_lab.training.optimizer import OptimizerSettings
+from cvqmpt_lab.training.scene_batches import SceneBatchSettings
+from cvqmpt_lab.training.stage import Batch, SceneStage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +23,8 @@ class MPNetSettings:
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=3e-4))
 
 
-class MPNetStage:
-    """Training of an `MPNet`; a `loop.Stage`."""
+class MPNetStage(SceneStage):
+    """Training of an `MPNet`."""
 
     name = "mpnet"
     selection = "validation_squared_error"
@@ -48,53 +45,25 @@ class MPNetStage:
         device: torch.device,
     ) -> None:
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
-        dataset.require_splits()
-        spacing = settings.batches.spacing
-        self.dataset = dataset if spacing is None else dataset.thinned(spacing)
-        self.settings, self.seed, self.optimizer = settings, seed, settings.optimizer
-        self._augmentation = Augmentation(
-            self.dataset, turn_base=settings.batches.turn_base, mirror=settings.batches.mirror
-        )
-        self._device = device
-        torch.manual_seed(seed)
-        self.network = MPNet(config).to(device)
-        self.module: nn.Module = self.network
-        self._validation = SceneBatches.for_validation(self.dataset, settings.batches, seed)
-
-    def prepare(self) -> None:
-        """Nothing."""
-
-    def batches(self, epoch: int) -> SceneBatches:
-        """Batches of an epoch."""
-        return SceneBatches.of_epoch(
-            self.dataset, self.settings.batches, self._augmentation, self.seed, epoch
-        )
+        super().__init__(dataset, settings, seed, device)
+        self.module = self.network = MPNet(config).to(device)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """Mean squared error over joints of all steps of all paths, both ways."""
         return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
 
-    def after_step(self, progress: Progress, optimizer: torch.optim.Optimizer) -> None:
-        """Nothing."""
-
     def validate(self) -> dict[str, float | None]:
         """Error on held-out scenes with their own cloud, and with the cloud of another scene; no dropout."""
-        own, wrong = [], []
-        for index in range(len(self._validation)):
-            arrays = self._validation[index]
-            batch = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
-            own.append(float(self._squared_error(batch, batch["cloud"], stochastic=False)))
-            others = other_scenes(arrays["scene"])
-            if others is not None:
-                wrong.append(float(self._squared_error(batch, batch["cloud"][others], stochastic=False)))
-        return {
-            "squared_error": sum(own) / len(own),
-            "wrong_cloud_squared_error": sum(wrong) / len(wrong) if wrong else None,
-        }
+        found: dict[str, list[float]] = {"squared_error": [], "wrong_cloud_squared_error": []}
+        for held_out in self.held_out():
+            for prefix, cloud in held_out.clouds.items():
+                error = self._squared_error(held_out.batch, cloud, stochastic=False)
+                found[f"{prefix}squared_error"].append(float(error))
+        return {name: sum(values) / len(values) if values else None for name, values in found.items()}
 
-    def save(self, folder: Path, metadata: Mapping[str, Any]) -> None:
-        """Write the network as a checkpoint."""
-        save_checkpoint(folder, MPNetCheckpoint(self.dataset.robot, self.network, dict(metadata)))
+    def checkpoint(self, metadata: Mapping[str, Any]) -> MPNetCheckpoint:
+        """The network as it stands."""
+        return MPNetCheckpoint(self.dataset.robot, self.network, metadata)
 
     def _squared_error(self, batch: Batch, cloud: Tensor, *, stochastic: bool) -> Tensor:
         states, counts = 2.0 * batch["u"] - 1.0, batch["counts"]

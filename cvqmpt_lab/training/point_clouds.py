@@ -5,6 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from cvqmpt_lab.models.config import require_sizes
+
 BOX, CYLINDER, SPHERE = 0, 1, 2
 _ROUNDS = 6
 _MARGIN = 1e-4
@@ -13,36 +15,36 @@ _MARGIN = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class CropSettings:
-    """What of a scene is seen: a ball around `centre`, or the box from `lower` to `upper` [m].
-
-    Defaults of the box are the published crop.
-    """
+    """What of a scene is seen."""
 
     kind: Literal["ball", "box"] = "ball"
     centre: tuple[float, float, float] = (0.0, 0.0, 0.33)
+    """Of the ball [m]."""
     radius: float = 1.2
+    """Of the ball [m]."""
     lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)
+    """Of the box [m]; the published crop."""
     upper: tuple[float, float, float] = (0.88, 0.88, 1.2)
+    """Of the box [m]; the published crop."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CloudSettings:
-    """How clouds are sampled.
-
-    Attributes
-    ----------
-    points: of each cloud.
-    noise: standard deviation of every coordinate [m].
-    occlusion: probability that only surfaces facing one of up to `cameras` random cameras are seen.
-    density: standard deviation of the logarithm of each shape's density of points.
-    """
+    """How clouds are sampled."""
 
     points: int = 1024
     crop: CropSettings = field(default_factory=CropSettings)
     noise: float = 0.003
+    """Standard deviation of every coordinate [m]."""
     occlusion: float = 0.5
+    """Probability that only surfaces facing one of the cameras are seen."""
     cameras: int = 4
+    """Random ones, at most."""
     density: float = 0.3
+    """Standard deviation of the logarithm of each shape's density of points."""
+
+    def __post_init__(self) -> None:
+        require_sizes(points=self.points, cameras=self.cameras)
 
     def without_augmentation(self) -> "CloudSettings":
         """Uniform by area, no noise, nothing hidden: for validation."""
@@ -57,7 +59,7 @@ def sample_cloud(
     Parameters
     ----------
     kind, size, pose
-        (m,), (m, 3), (m, 3, 4): shapes as in `dataset`.
+        (m,), (m, 3), (m, 3, 4): shapes as in `paths.Scenes`.
 
     Returns
     -------

@@ -1,23 +1,13 @@
 """Named trainings as plain tables: model and settings of every stage."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
 
-from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models.config import (
-    DictionaryConfig,
-    ModelConfig,
-    PointCloudConfig,
-    SequenceConfig,
-    SetAbstractionConfig,
-    TransformerConfig,
-)
+from cvqmpt_lab.models import config as sizes
 from cvqmpt_lab.models.mpnet.network import MPNetConfig
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.loop import OptimizerSettings
 from cvqmpt_lab.training.mpnet import MPNetSettings
+from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings
 from cvqmpt_lab.training.scene_batches import SceneBatchSettings
 from cvqmpt_lab.training.stage1 import Stage1Settings
@@ -26,23 +16,23 @@ from cvqmpt_lab.training.stage2 import Stage2Settings
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """What to train and how.
-
-    Attributes
-    ----------
-    link_features: the model takes link positions, as many as the dataset's kinematics give.
-    model: sizes; joints and features are the dataset's (`model_for`).
-    """
+    """What to train and how."""
 
     name: str
     link_features: bool
-    model: ModelConfig
+    """The model takes link positions, as many as the dataset's kinematics give."""
+    model: sizes.ModelConfig
+    """Sizes; joints and features are the dataset's (`model_for`)."""
     mpnet_model: MPNetConfig
     stage1: Stage1Settings
     stage2: Stage2Settings
     mpnet: MPNetSettings
 
-    def model_for(self, dataset: PathDataset) -> ModelConfig:
+    def __post_init__(self) -> None:
+        if self.mpnet.batches.cloud.points != self.mpnet_model.n_points:
+            raise InvalidInputError("mpnet.batches.cloud.points must equal mpnet_model.n_points")
+
+    def model_for(self, dataset: PathDataset) -> sizes.ModelConfig:
         """The model for a dataset: its joints and features; heads only where it has labels for them.
 
         Raises
@@ -68,31 +58,6 @@ class Profile:
         """The network for a dataset."""
         return replace(self.mpnet_model, joint_dim=dataset.joint_dim)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
-        return to_plain(self, complete=True)
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Build what `to_json` wrote; raises InvalidInputError naming the field that is wrong."""
-        profile = from_plain(cls, data, "profile", complete=True)
-        for name, clouds in (
-            ("stage2", profile.stage2.batches.cloud),
-            ("mpnet", profile.mpnet.batches.cloud),
-        ):
-            if clouds.points < 2 or clouds.cameras < 1:
-                raise InvalidInputError(f"profile.{name}.batches.cloud: points must be 2, cameras 1 or more")
-        for batches in (profile.stage2.batches, profile.mpnet.batches):
-            if batches.scenes < 1 or batches.paths_per_scene < 1:
-                raise InvalidInputError("profile: scenes and paths_per_scene of batches must be 1 or more")
-        if profile.stage1.batch < 1 or profile.stage1.row < 1:
-            raise InvalidInputError("profile.stage1: batch and row must be 1 or more")
-        if profile.mpnet.batches.cloud.points != profile.mpnet_model.n_points:
-            raise InvalidInputError(
-                "profile.mpnet.batches.cloud.points must equal profile.mpnet_model.n_points"
-            )
-        return profile
-
 
 def _compact() -> Profile:
     """The model that ships."""
@@ -101,7 +66,7 @@ def _compact() -> Profile:
     return Profile(
         name="compact",
         link_features=True,
-        model=ModelConfig.compact(feature_dim=3, n_codes=1024),
+        model=sizes.ModelConfig.compact(feature_dim=3, n_codes=1024),
         mpnet_model=MPNetConfig(n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3),
         stage1=Stage1Settings(
             epochs=10,
@@ -129,18 +94,20 @@ def _compact() -> Profile:
 
 def _smoke() -> Profile:
     """Both stages in less than two minutes on two busy cores: shows that everything runs, no more."""
-    sizes = TransformerConfig(n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1)
+    small = sizes.TransformerConfig(
+        n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1
+    )
     compact = _compact()
-    points = PointCloudConfig(
+    points = sizes.PointCloudConfig(
         max_points=256,
-        sa1=SetAbstractionConfig(count=64, radius=0.25, max_neighbours=8, widths=(16, 32)),
-        sa2=SetAbstractionConfig(count=16, radius=0.6, max_neighbours=16, widths=(48, 48)),
+        sa1=sizes.SetAbstractionConfig(count=64, radius=0.25, max_neighbours=8, widths=(16, 32)),
+        sa2=sizes.SetAbstractionConfig(count=16, radius=0.6, max_neighbours=16, widths=(48, 48)),
     )
     model = replace(
         compact.model,
-        dictionary=replace(compact.model.dictionary, transformer=sizes, n_codes=128),
+        dictionary=replace(compact.model.dictionary, transformer=small, n_codes=128),
         point_cloud=points,
-        sequence=replace(compact.model.sequence, transformer=sizes),
+        sequence=replace(compact.model.sequence, transformer=small),
     )
     batches = replace(
         compact.stage2.batches,
@@ -180,12 +147,7 @@ def _published() -> Profile:
     return Profile(
         name="published",
         link_features=False,
-        model=ModelConfig(
-            kind="published",
-            dictionary=DictionaryConfig(),
-            point_cloud=PointCloudConfig(),
-            sequence=SequenceConfig(),
-        ),
+        model=sizes.ModelConfig(),
         mpnet_model=MPNetConfig(),
         stage1=Stage1Settings(
             epochs=50, batch=64, optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000)

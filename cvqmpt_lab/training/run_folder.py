@@ -35,22 +35,21 @@ PICTURE_FILE = "curves.png"
 
 @dataclass
 class Progress:
-    """Where a training stands.
-
-    Attributes
-    ----------
-    epoch, batch: the next to run; step: optimizer steps so far.
-    sums: of the losses in the unfinished epoch.
-    rows: curves so far. best: the least selecting value so far.
-    """
+    """Where a training stands."""
 
     epoch: int = 0
+    """The next to run."""
     batch: int = 0
+    """The next to run."""
     step: int = 0
+    """Optimizer steps so far."""
     seconds: float = 0.0
     sums: dict[str, float] = field(default_factory=dict)
+    """Of the losses in the unfinished epoch."""
     rows: list[dict[str, float | None]] = field(default_factory=list)
+    """Curves so far."""
     best: float | None = None
+    """The least selecting value so far."""
 
 
 class RunFolder:

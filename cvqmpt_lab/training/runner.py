@@ -7,41 +7,46 @@ from typing import Any
 
 import torch
 
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
 from cvqmpt_lab.models.weights_folder import checkpoint_folder, checkpoint_sha256
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
-from cvqmpt_lab.training.loop import Limits, Outcome, Stage, Tick, train
+from cvqmpt_lab.training.loop import Limits, Tick, TrainingEnd, train
 from cvqmpt_lab.training.mpnet import MPNetStage
 from cvqmpt_lab.training.profiles import Profile
 from cvqmpt_lab.training.run_folder import RunFolder
+from cvqmpt_lab.training.stage import Stage
 from cvqmpt_lab.training.stage1 import Stage1
 from cvqmpt_lab.training.stage2 import Stage2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """One training.
-
-    Attributes
-    ----------
-    stage: of `STAGES`. data, out: folders. dictionary: folder of a stage-1 training or checkpoint.
-    epochs: in all, instead of the profile's. minutes: stop after so many. workers: processes that
-        prepare batches. device: ``cpu``, ``cuda``, or ``auto``. metadata: kept with the model.
-    """
+    """One training."""
 
     stage: str
+    """Of `STAGES`."""
     profile: Profile
     data: Path
+    """Folder of a dataset."""
     out: Path
+    """Folder of the training."""
     dictionary: Path | None = None
+    """Folder of a stage-1 training or checkpoint."""
     seed: int = 0
     epochs: int | None = None
+    """In all, instead of the profile's."""
     minutes: float | None = None
+    """Stop after so many."""
     workers: int = 0
+    """Processes that prepare batches."""
     device: str = "auto"
+    """``cpu``, ``cuda``, or whichever is there."""
     verify: bool = True
+    """Compare shards with their checksums."""
     metadata: Mapping[str, Any]
+    """Kept with the model."""
 
 
 def _stage1(request: Request, dataset: PathDataset, device: torch.device) -> Stage:
@@ -67,7 +72,7 @@ STAGES: dict[str, Callable[[Request, PathDataset, torch.device], Stage]] = {
 }
 
 
-def run_training(request: Request, report: Callable[[Tick], None] = lambda tick: None) -> Outcome:
+def run_training(request: Request, report: Callable[[Tick], None] = lambda tick: None) -> TrainingEnd:
     """Begin or continue a training; the best model is in ``out/model``.
 
     Raises
@@ -82,7 +87,7 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
     device = _device(request.device)
     dataset = open_dataset(request.data, verify=request.verify)
     stage = STAGES[request.stage](request, dataset, device)
-    plain = request.profile.to_json()
+    plain = to_plain(request.profile, complete=True)
     epochs = request.epochs or plain[request.stage].pop("epochs")
     plain[request.stage].pop("epochs", None)
     settings: dict[str, Any] = {
@@ -107,7 +112,7 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
         **request.metadata,
     }
     limits = Limits(epochs=epochs, minutes=request.minutes, workers=request.workers)
-    return train(stage, folder, limits, request.seed, device, metadata, report)
+    return train(stage, folder, limits, metadata, report)
 
 
 _MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model"}

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.training.augmentation import Augmentation, Change
-from cvqmpt_lab.training.dataset import FULL_SCALE, Labels, PathDataset, with_few_trivial
-from cvqmpt_lab.training.loop import batch_seed
+from cvqmpt_lab.models.config import require_sizes
+from cvqmpt_lab.training.augmentation import BaseTurn, turned
+from cvqmpt_lab.training.dataset import PathDataset
+from cvqmpt_lab.training.paths import Labels, unpacked, with_few_trivial
 from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
-from cvqmpt_lab.training.stage1 import padded_paths, stage_length
 
 _SIDE_NOISE = 0.4
 """Of twice the middle of a path's first joint, normalised, by which paths of a scene are grouped."""
@@ -17,30 +17,38 @@ _SIDE_NOISE = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class SceneBatchSettings:
-    """What a batch is made of.
-
-    Attributes
-    ----------
-    scenes, paths_per_scene: of a batch; a scene with fewer paths repeats one with weight 0.
-    batches_per_epoch: at most; None for all paths.
-    spacing: of waypoints along a path [rad]; None to take all.
-    trivial_share: of paths whose straight line is free, at most.
-    turn_base, mirror: augmentations of scene and paths alike; the second only nearly exact.
-    probes, edges: labelled configurations and motions of each scene, where the dataset has them.
-    validation_paths: at most.
-    """
+    """What a batch is made of."""
 
     scenes: int = 16
     paths_per_scene: int = 4
+    """A scene with fewer paths repeats one with weight 0."""
     batches_per_epoch: int | None = None
+    """At most; None for all paths."""
     spacing: float | None = None
+    """Of waypoints along a path [rad]; None to take all."""
     trivial_share: float = 0.15
+    """Of paths whose straight line is free, at most."""
     turn_base: bool = False
-    mirror: bool = False
+    """Turn scene and paths alike about the base."""
     probes: int = 24
+    """Labelled configurations of each scene, where the dataset has them."""
     edges: int = 24
+    """Labelled motions, likewise."""
     cloud: CloudSettings = field(default_factory=CloudSettings)
     validation_paths: int = 512
+    """At most."""
+
+    def __post_init__(self) -> None:
+        require_sizes(
+            scenes=self.scenes,
+            paths_per_scene=self.paths_per_scene,
+            batches_per_epoch=self.batches_per_epoch,
+        )
+
+
+def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
+    """The only source of randomness of a batch."""
+    return np.random.SeedSequence((seed, epoch, batch))
 
 
 def grouped_by_scene(
@@ -77,24 +85,24 @@ class SceneBatches(Dataset):
         self,
         dataset: PathDataset,
         settings: SceneBatchSettings,
-        augmentation: Augmentation | None,
+        turn: BaseTurn | None,
         groups: list[np.ndarray],
         seed: tuple[int, int],
     ) -> None:
-        """Batches of groups, one list element a batch; without augmentation clouds are plain, too.
+        """Batches of groups, one list element a batch; without turns, for validation, clouds are plain, too.
 
         seed: of the training, and the epoch.
         """
-        self._dataset, self._settings, self._augmentation = dataset, settings, augmentation
+        self._dataset, self._settings, self._turn = dataset, settings, turn
         self._groups, self._seed = groups, seed
-        self._cloud = settings.cloud if augmentation is not None else settings.cloud.without_augmentation()
+        self._cloud = settings.cloud if turn is not None else settings.cloud.without_augmentation()
 
     @classmethod
     def of_epoch(
         cls,
         dataset: PathDataset,
         settings: SceneBatchSettings,
-        augmentation: Augmentation,
+        turn: BaseTurn,
         seed: int,
         epoch: int,
     ) -> "SceneBatches":
@@ -102,19 +110,13 @@ class SceneBatches(Dataset):
         rng = np.random.default_rng((seed, epoch))
         rows = with_few_trivial(dataset.paths, dataset.split("train"), settings.trivial_share, rng)
         key = None
-        if settings.turn_base:  # paths on the same side of the robot can be turned further together
-            key = augmentation.least + augmentation.most + rng.uniform(0.0, _SIDE_NOISE, len(dataset.paths))
+        if turn.active:  # paths on the same side of the robot can be turned further together
+            key = turn.least + turn.most + rng.uniform(0.0, _SIDE_NOISE, len(dataset.paths))
         groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng, key)
         count = max(1, len(groups) // settings.scenes)
         groups = groups[: max(count * settings.scenes, 1)]
-        batches = np.array_split(groups, count)
-        return cls(
-            dataset,
-            settings,
-            augmentation,
-            batches[: stage_length(count, settings.batches_per_epoch)],
-            (seed, epoch),
-        )
+        batches = np.array_split(groups, count)[: settings.batches_per_epoch]
+        return cls(dataset, settings, turn, batches, (seed, epoch))
 
     @classmethod
     def for_validation(cls, dataset: PathDataset, settings: SceneBatchSettings, seed: int) -> "SceneBatches":
@@ -137,14 +139,14 @@ class SceneBatches(Dataset):
         rng = np.random.default_rng(batch_seed(*self._seed, batch))
         rows = np.where(groups < 0, groups[:, :1], groups)
         scenes = paths.scene[rows[:, 0]]
-        changes = [Change() if self._augmentation is None else self._augmentation.draw(g, rng) for g in rows]
+        angles = [0.0 if self._turn is None else self._turn.draw(group, rng) for group in rows]
         clouds = [
             sample_cloud(*self._dataset.scenes.shapes(int(scene)), self._cloud, rng) for scene in scenes
         ]
-        u, counts = padded_paths(self._dataset, rows.ravel())
+        u, counts = paths.padded(rows.ravel())
         result = {
-            "cloud": np.stack(self._changed_points(clouds, changes)),
-            "u": np.concatenate(self._changed_joints(u.reshape(*rows.shape, *u.shape[1:]), changes)),
+            "cloud": np.stack([turned(cloud, angle) for cloud, angle in zip(clouds, angles, strict=True)]),
+            "u": np.concatenate(self._turned(u.reshape(*rows.shape, *u.shape[1:]), angles)),
             "counts": counts,
             "weight": (groups >= 0).ravel(),
             "scene": scenes,
@@ -155,21 +157,15 @@ class SceneBatches(Dataset):
         ):
             if labels is not None and most > 0:
                 joints, free = _drawn(labels, scenes, most, rng)
-                changed = self._changed_joints(joints, changes, wrap=name == "probe")
-                result |= {f"{name}_u": np.stack(changed), f"{name}_free": free}
+                result[f"{name}_u"] = np.stack(self._turned(joints, angles, wrap=name == "probe"))
+                result[f"{name}_free"] = free
         return result
 
-    def _changed_points(self, clouds: list[np.ndarray], changes: list[Change]) -> list[np.ndarray]:
-        if self._augmentation is None:
-            return clouds
-        return [self._augmentation.points(c, change) for c, change in zip(clouds, changes, strict=True)]
-
-    def _changed_joints(
-        self, u: np.ndarray, changes: list[Change], *, wrap: bool = False
-    ) -> list[np.ndarray]:
-        if self._augmentation is None:
+    def _turned(self, u: np.ndarray, angles: list[float], *, wrap: bool = False) -> list[np.ndarray]:
+        """Normalised joints of each scene, turned."""
+        if self._turn is None:
             return list(u)
-        return [self._augmentation.joints(part, c, wrap=wrap) for part, c in zip(u, changes, strict=True)]
+        return [self._turn.joints(part, a, wrap=wrap) for part, a in zip(u, angles, strict=True)]
 
 
 def other_scenes(scene: np.ndarray) -> np.ndarray | None:
@@ -187,8 +183,7 @@ def _drawn(
     """Normalised joints (s, c, ..., n) and labels (s, c) of some of each scene's labelled ones."""
     count = labels.free.shape[1]
     chosen = rng.permutation(count)[:most]
-    joints = labels.joints[scenes[:, None], chosen].astype(np.float32) / np.float32(FULL_SCALE)
-    return joints, labels.free[scenes[:, None], chosen]
+    return unpacked(labels.joints[scenes[:, None], chosen]), labels.free[scenes[:, None], chosen]
 
 
 def _rank_in_scene(scenes: np.ndarray) -> np.ndarray:

@@ -8,22 +8,18 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class CodeSequences:
-    """Sequences (b, ...) without consecutive repeats, at most t codes of each.
-
-    Attributes
-    ----------
-    codes: (b, t) int64, padded with code 0.
-    targets, visible: (b, t + 1): the next code after the start token and after each code, the goal class
-        after the last; False where there is nothing to predict.
-    run: (b, w) int64, the code in the sequence that each waypoint belongs to; in_run: (b, w) bool, False
-        for padded waypoints and those of codes beyond t.
-    """
+    """Sequences (b, ...) without consecutive repeats, at most t codes of each."""
 
     codes: Tensor
+    """(b, t) int64, padded with code 0."""
     targets: Tensor
+    """(b, t + 1) int64: the next code after the start token and after each code, the goal class after the last."""
     visible: Tensor
+    """(b, t + 1) bool: False where there is nothing to predict."""
     run: Tensor
+    """(b, w) int64: the code in the sequence that each waypoint belongs to."""
     in_run: Tensor
+    """(b, w) bool: False for padded waypoints and those of codes beyond t."""
 
 
 def code_sequences(codes: Tensor, counts: Tensor, most: int, goal_class: int) -> CodeSequences:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,47 +9,48 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.models.checkpoint import Checkpoint, save_checkpoint
-from cvqmpt_lab.models.config import ModelConfig
+from cvqmpt_lab.models.checkpoint import Checkpoint
+from cvqmpt_lab.models.config import ModelConfig, require_sizes
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.training.augmentation import Augmentation
-from cvqmpt_lab.training.dataset import FULL_SCALE, PathDataset, with_few_trivial
-from cvqmpt_lab.training.link_positions import LinkPositions
-from cvqmpt_lab.training.loop import Batch, OptimizerSettings, batch_seed
+from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.losses import stage1_loss
+from cvqmpt_lab.training.optimizer import OptimizerSettings
+from cvqmpt_lab.training.paths import unpacked, with_few_trivial
 from cvqmpt_lab.training.run_folder import Progress
+from cvqmpt_lab.training.scene_batches import batch_seed
+from cvqmpt_lab.training.stage import Batch, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stage1Settings:
-    """How the dictionary is trained.
-
-    Attributes
-    ----------
-    batch: rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones, which
-        stand for paths so that the parts of the loss keep their published proportions.
-    batches_per_epoch: at most; None for all paths.
-    spacing: of waypoints along a path [rad]; None to take all.
-    trivial_share: of paths whose straight line is free, at most.
-    turn_base: turn whole paths about the base.
-    restart_every: steps between restarts of codes used less than `restart_below` of the mean, during the
-        first `restart_epochs` epochs (only where the model is `data_initialised`).
-    validation_paths: at most.
-    """
+    """How the dictionary is trained."""
 
     epochs: int = 20
     batch: int = 64
+    """Rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones, which stand
+    for paths so that the parts of the loss keep their published proportions."""
     row: int = 32
     batches_per_epoch: int | None = None
+    """At most; None for all paths."""
     spacing: float | None = None
+    """Of waypoints along a path [rad]; None to take all."""
     trivial_share: float = 0.15
+    """Of paths whose straight line is free, at most."""
     turn_base: bool = False
+    """Turn whole paths about the base."""
     entropy_weight: float = 0.1
     restart_every: int = 200
+    """Steps between restarts of codes that are hardly used (only where the model is `data_initialised`)."""
     restart_epochs: int = 10
+    """The first epochs, which have restarts."""
     restart_below: float = 0.02
+    """Share of the mean use below which a code is restarted."""
     validation_paths: int = 1000
+    """At most."""
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
+
+    def __post_init__(self) -> None:
+        require_sizes(batch=self.batch, row=self.row, batches_per_epoch=self.batches_per_epoch)
 
 
 class _Waypoints(Dataset):
@@ -66,14 +66,15 @@ class _Waypoints(Dataset):
         self._size = stage.settings.batch * stage.settings.row
 
     def __len__(self) -> int:
-        return stage_length(max(1, len(self._waypoint) // self._size), self._stage.settings.batches_per_epoch)
+        whole = max(1, len(self._waypoint) // self._size)
+        return min(whole, self._stage.settings.batches_per_epoch or whole)
 
     def __getitem__(self, batch: int) -> dict[str, np.ndarray]:
         stage = self._stage
         rng = np.random.default_rng(batch_seed(stage.seed, self._epoch, batch))
         places = np.arange(batch * self._size, (batch + 1) * self._size) % len(self._waypoint)
-        u = stage.dataset.paths.waypoints[self._waypoint[places]].astype(np.float32) / np.float32(FULL_SCALE)
-        u[:, 0] += stage.augmentation.draw_each(self._path[places], rng).astype(np.float32)
+        u = unpacked(stage.dataset.paths.waypoints[self._waypoint[places]])
+        u[:, 0] += stage.turn.draw_each(self._path[places], rng).astype(np.float32)
         shape = (stage.settings.batch, stage.settings.row)
         return {"u": u.reshape(*shape, -1), "visible": np.ones(shape, dtype=bool)}
 
@@ -87,28 +88,15 @@ class _Trajectories(Dataset):
 
     def __len__(self) -> int:
         whole = -(-len(self._paths) // self._stage.settings.batch)
-        return stage_length(whole, self._stage.settings.batches_per_epoch)
+        return min(whole, self._stage.settings.batches_per_epoch or whole)
 
     def __getitem__(self, batch: int) -> dict[str, np.ndarray]:
         stage, size = self._stage, self._stage.settings.batch
         rng = np.random.default_rng(batch_seed(stage.seed, self._epoch, batch))
         paths = self._paths[batch * size : (batch + 1) * size]
-        u, counts = padded_paths(stage.dataset, paths)
-        u[:, :, 0] += stage.augmentation.draw_each(paths, rng)[:, None].astype(np.float32)
+        u, counts = stage.dataset.paths.padded(paths)
+        u[:, :, 0] += stage.turn.draw_each(paths, rng)[:, None].astype(np.float32)
         return {"u": u, "visible": np.arange(u.shape[1]) < counts[:, None]}
-
-
-def stage_length(whole: int, most: int | None) -> int:
-    """Batches of an epoch."""
-    return whole if most is None else min(whole, most)
-
-
-def padded_paths(dataset: PathDataset, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised joints (b, t, n) float32, the last waypoint repeated, and their counts (b,)."""
-    counts = dataset.paths.counts(paths)
-    place = np.minimum(np.arange(counts.max()), counts[:, None] - 1)
-    waypoints = dataset.paths.waypoints[dataset.paths.start[paths][:, None] + place]
-    return waypoints.astype(np.float32) / np.float32(FULL_SCALE), counts
 
 
 class _Trainee(nn.Module):
@@ -122,8 +110,10 @@ class _Trainee(nn.Module):
         self.register_buffer("uses", torch.zeros(config.dictionary.n_codes, dtype=torch.int64))
 
 
-class Stage1:
-    """Training of a `Dictionary`; a `loop.Stage`."""
+class Stage1(Stage):
+    """Training of a `Dictionary`."""
+
+    module: _Trainee
 
     name = "stage1"
     selection = "validation_reconstruction"
@@ -142,18 +132,10 @@ class Stage1:
         device: torch.device,
     ) -> None:
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
-        dataset.require_splits()
-        self.dataset = dataset if settings.spacing is None else dataset.thinned(settings.spacing)
-        self.config, self.settings, self.seed, self.optimizer = config, settings, seed, settings.optimizer
-        self.augmentation = Augmentation(self.dataset, turn_base=settings.turn_base, mirror=False)
-        self._of_single_waypoints = config.dictionary.encoder == "mlp"
-        torch.manual_seed(seed)
+        super().__init__(dataset, settings.spacing, settings.turn_base, settings.optimizer, seed, device)
+        self.config, self.settings = config, settings
         self.module = _Trainee(config).to(device)
-        robot = dataset.robot
-        chain = dataset.chain if config.feature_dim else None
-        self._links = LinkPositions(robot.lower, robot.upper, chain, device)
-        self._device = device
-        self._range = torch.tensor(robot.upper) - torch.tensor(robot.lower)
+        self._links = self.link_positions(config.feature_dim)
         self._latents = torch.empty(0)
 
     def prepare(self) -> None:
@@ -165,11 +147,11 @@ class Stage1:
         with torch.no_grad():
             for index in range(len(batches)):
                 batch = batches[index]
-                u, visible = (torch.from_numpy(batch[name]).to(self._device) for name in ("u", "visible"))
+                u, visible = (torch.from_numpy(batch[name]).to(self.device) for name in ("u", "visible"))
                 latents.append(self.module.dictionary.encoder(self._links.configurations(u))[visible])
                 if sum(len(part) for part in latents) >= wanted:
                     break
-        every = torch.ones(self.config.dictionary.n_codes, dtype=torch.bool, device=self._device)
+        every = torch.ones(self.config.dictionary.n_codes, dtype=torch.bool, device=self.device)
         self.module.dictionary.quantizer.restart_codes(every, torch.cat(latents))
 
     def batches(self, epoch: int) -> "_Waypoints | _Trajectories":
@@ -177,7 +159,7 @@ class Stage1:
         rng = np.random.default_rng((self.seed, epoch))
         rows = self.dataset.split("train")
         rows = with_few_trivial(self.dataset.paths, rows, self.settings.trivial_share, rng)
-        kind = _Waypoints if self._of_single_waypoints else _Trajectories
+        kind = _Waypoints if self.config.dictionary.encoder == "mlp" else _Trajectories
         return kind(self, epoch, rows, rng)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
@@ -211,18 +193,19 @@ class Stage1:
     def validate(self) -> dict[str, float | None]:
         """Fit of held-out paths, per waypoint [nats], and how the dictionary is used."""
         rows = self.dataset.split("validation")[: self.settings.validation_paths]
+        span = torch.tensor(self.dataset.robot.upper) - torch.tensor(self.dataset.robot.lower)
         sums = dict.fromkeys(("nll", "negative_entropy", "std", "codes_per_path"), 0.0)
         used = torch.zeros(self.config.dictionary.n_codes, dtype=torch.int64)
         waypoints = 0
         for first in range(0, len(rows), 64):
-            array, counts = padded_paths(self.dataset, rows[first : first + 64])
-            u = torch.from_numpy(array).to(self._device)
-            visible = (torch.arange(u.shape[1]) < torch.from_numpy(counts)[:, None]).to(self._device)
+            array, counts = self.dataset.paths.padded(rows[first : first + 64])
+            u = torch.from_numpy(array).to(self.device)
+            visible = (torch.arange(u.shape[1]) < torch.from_numpy(counts)[:, None]).to(self.device)
             output = self.module.dictionary(self._links.configurations(u))
             codes = output.quantized.codes
             sums["nll"] -= float(output.gaussians.log_prob(u)[visible].double().sum())
             sums["negative_entropy"] -= float(output.gaussians.entropy()[visible].double().sum())
-            std = output.gaussians.covariance.diagonal(dim1=-2, dim2=-1).sqrt().cpu() * self._range
+            std = output.gaussians.covariance.diagonal(dim1=-2, dim2=-1).sqrt().cpu() * span
             sums["std"] += float(std[visible.cpu()].mean(-1).double().sum())
             changes = (codes[:, 1:] != codes[:, :-1]) & visible[:, 1:]
             sums["codes_per_path"] += float(changes.sum() + len(codes))
@@ -238,8 +221,7 @@ class Stage1:
         }
         return result
 
-    def save(self, folder: Path, metadata: Mapping[str, Any]) -> None:
-        """Write the dictionary as a checkpoint."""
+    def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
+        """The dictionary as it stands."""
         self.module.dictionary.quantizer.normalise_codes()
-        checkpoint = Checkpoint(self.config, self.dataset.robot, self.module.dictionary, None, metadata)
-        save_checkpoint(folder, checkpoint)
+        return Checkpoint(self.config, self.dataset.robot, self.module.dictionary, None, metadata)

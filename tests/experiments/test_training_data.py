@@ -11,7 +11,8 @@ from cvqmpt_lab.planning.near_shortest import NearShortestSettings, Spheroid, ne
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
-from cvqmpt_lab.training.dataset import FULL_SCALE, open_dataset
+from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.shards import FULL_SCALE
 from experiments import training_data
 from experiments.training_data import Recipe, dataset_card, generate
 

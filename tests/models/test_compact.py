@@ -240,7 +240,7 @@ def test_every_parameter_learns():
     codes, own = torch.randint(0, 12, (4, 5)), torch.randint(0, 12, (4, 2))
     output = model(scene, start, goal, codes, own)
     targets = torch.cat((codes, torch.full((4, 1), CONFIG.goal_class)), 1)
-    loss = sequence_loss(output.logits, targets, torch.ones(4, 6, dtype=torch.bool), 4)
+    loss = sequence_loss(output.logits.flatten(0, 1), targets.flatten(), 4)
     refined = model.refine(output.states, dictionary.code_gaussians(codes))
     loss = loss + refinement_loss(refined, torch.rand(4, 5, 7), torch.ones(4, 5, dtype=torch.bool))
     a, b = torch.rand(2, 5, 13), torch.rand(2, 5, 13)
@@ -260,7 +260,7 @@ def test_it_learns_a_sequence():
     for _ in range(40):
         optimizer.zero_grad()
         logits = model(model.encode_scene(scene), start, goal, codes).logits
-        sequence_loss(logits, targets, torch.ones(1, 5, dtype=torch.bool), 1).backward()
+        sequence_loss(logits.flatten(0, 1), targets.flatten(), 1).backward()
         optimizer.step()
     with torch.no_grad():
         decoder = CompactInference(model, dictionary).decoder(model.encode_scene(scene), start, goal)

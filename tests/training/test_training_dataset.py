@@ -1,13 +1,16 @@
 """The reader of training paths: splits, thinning, and what it refuses."""
 
 import json
+import os
+import shutil
 
 import numpy as np
 import pytest
 from training_data import LOWER, UPPER, shard, write_dataset, write_shard
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.training.dataset import open_dataset, with_few_trivial
+from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.paths import with_few_trivial
 
 
 @pytest.fixture(scope="module")
@@ -105,14 +108,58 @@ def test_damaged_and_missing_shards_are_named(tmp_path):
     with pytest.raises(InvalidInputError, match=r"cannot read .*000001.npz"):
         open_dataset(folder)
     path.write_bytes(whole)
-    (folder / "shards.csv").write_text((folder / "shards.csv").read_text() + "000002,abc")  # a writer at work
-    assert len(open_dataset(folder).scenes) == 6
-    (folder / "shards.csv").write_text("shard,sha256,scenes,paths\n")
-    with pytest.raises(InvalidInputError, match="lists no shard"):
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(InvalidInputError, match=r"000001.npz: it is not a regular file"):
         open_dataset(folder)
-    (folder / "shards.csv").write_text("shard,paths\n0,1\n")
-    with pytest.raises(InvalidInputError, match="columns are"):
-        open_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text[:-3], "is cut short; generate again"),
+        (lambda text: text[:-30], "is cut short"),
+        (lambda text: text[:-30] + "\n", "line 3 is damaged"),
+        (lambda text: text + "000002,abc\n", "line 4 is damaged"),
+        (lambda text: text + "../000001,abc,3,21\n", "line 4 is damaged"),
+        (lambda text: text + text.splitlines()[1] + "\n", "lists a shard twice"),
+        (lambda text: text.splitlines()[0] + "\n", "lists no shard"),
+        (lambda text: "shard,paths\n0,1\n", "the first line must be shard,sha256,scenes,paths"),
+        (lambda text: "", "the first line must be"),
+    ],
+)
+def test_a_damaged_index_is_refused(folder, tmp_path, change, message):
+    shutil.copytree(folder, tmp_path / "d")
+    index = tmp_path / "d" / "shards.csv"
+    index.write_text(change(index.read_text()))
+    with pytest.raises(InvalidInputError, match=f"shards.csv.*{message}"):
+        open_dataset(tmp_path / "d")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"a": ' * 100_000, '{"schema": 1}', '{"schema": 1, "schema": 1}'])
+def test_a_damaged_description_is_one_line(folder, tmp_path, text):
+    shutil.copytree(folder, tmp_path / "d")
+    (tmp_path / "d" / "dataset.json").write_text(text)
+    with pytest.raises(InvalidInputError, match=r"dataset\.json") as caught:
+        open_dataset(tmp_path / "d")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_shard_damaged_anywhere_is_refused_or_reads_the_same(folder, tmp_path):
+    """Without checksums: every 97th byte turned over, and the file cut there."""
+    shutil.copytree(folder, tmp_path / "d")
+    path = tmp_path / "d" / "shards" / "000000.npz"
+    whole = path.read_bytes()
+    refused = 0
+    for place in range(0, len(whole), 97):
+        for damaged in (whole[:place], whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :]):
+            path.write_bytes(damaged)
+            try:
+                open_dataset(tmp_path / "d", verify=False)
+            except InvalidInputError as error:
+                assert "000000.npz" in str(error)
+                refused += 1
+    assert refused > len(whole) / 97
 
 
 def test_a_pickle_in_a_shard_is_refused(tmp_path):

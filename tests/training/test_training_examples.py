@@ -10,7 +10,7 @@ from training_data import LOWER, UPPER, kinematics, write_dataset
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import SetAbstractionConfig
 from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel
-from cvqmpt_lab.training.augmentation import Augmentation, Change
+from cvqmpt_lab.training.augmentation import BaseTurn, turned
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
@@ -170,56 +170,39 @@ def test_clouds_are_made_fast(dataset):
 
 
 def test_turning_moves_cloud_and_links_alike(dataset, chain):
-    augmentation = Augmentation(dataset, turn_base=True, mirror=False)
+    turn = BaseTurn(dataset, True)
     links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
     paths = np.array([3, 4])
     angles = []
     for seed in range(20):
-        change = augmentation.draw(paths, np.random.default_rng(seed))
-        angles.append(change.angle)
+        angles.append(turn.draw(paths, np.random.default_rng(seed)))
         for path in paths.tolist():
             u = dataset.paths.joints(path)
-            turned = augmentation.joints(u, change)
-            assert turned[:, 0].min() >= -1e-6 and turned[:, 0].max() <= 1.0 + 1e-6
+            moved = turn.joints(u, angles[-1])
+            assert moved[:, 0].min() >= -1e-6 and moved[:, 0].max() <= 1.0 + 1e-6
             before = links.configurations(torch.tensor(u))[:, 7:].reshape(-1, 3)
-            after = links.configurations(torch.tensor(turned))[:, 7:].reshape(-1, 3)
-            np.testing.assert_allclose(after, augmentation.points(before.numpy(), change), atol=5e-6)
+            after = links.configurations(torch.tensor(moved))[:, 7:].reshape(-1, 3)
+            np.testing.assert_allclose(after, turned(before.numpy(), angles[-1]), atol=5e-6)
     assert np.std(angles) > 0.2
-
-
-def test_mirroring_is_a_reflection_of_joint_axes(dataset, chain):
-    augmentation = Augmentation(dataset, turn_base=False, mirror=True)
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
-    u = dataset.paths.joints(0)
-    change = Change(0.3, True)
-    before = links.configurations(torch.tensor(u))[:, 7:].reshape(-1, 3).numpy()
-    after = links.configurations(torch.tensor(augmentation.joints(u, change)))[:, 7:].reshape(-1, 3).numpy()
-    np.testing.assert_allclose(after, augmentation.points(before, change), atol=5e-6)
-    drawn = [augmentation.draw(np.array([p]), np.random.default_rng(p)) for p in range(42)]
-    assert 0 < sum(change.mirrored for change in drawn) < 42
-    for path, change in enumerate(drawn):
-        changed = augmentation.joints(dataset.paths.joints(path), change)
-        assert changed.min() >= -1e-6 and changed.max() <= 1.0 + 1e-6
+    assert BaseTurn(dataset, False).draw(paths, np.random.default_rng(0)) == 0.0
 
 
 def test_wrapped_probes_stay_the_same_posture(dataset, chain):
-    augmentation = Augmentation(dataset, turn_base=True, mirror=False)
+    turn = BaseTurn(dataset, True)
     links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
-    u, change = np.random.default_rng(0).random((50, 7), dtype=np.float32), Change(1.5)
-    wrapped, plain = augmentation.joints(u, change, wrap=True), augmentation.joints(u, change)
+    u = np.random.default_rng(0).random((50, 7), dtype=np.float32)
+    wrapped, plain = turn.joints(u, 1.5, wrap=True), turn.joints(u, 1.5)
     assert wrapped[:, 0].max() <= 1.0 < plain[:, 0].max()
     one, other = (links.configurations(torch.tensor(x))[:, 7:] for x in (wrapped, plain))
     np.testing.assert_allclose(one, other, atol=5e-6)
 
 
-def test_robots_that_cannot_be_turned_or_mirrored_are_refused(tmp_path):
+def test_robots_that_cannot_be_turned_are_refused(tmp_path):
     tilted = kinematics()
     tilted["rotation"][0] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
-    dataset = open_dataset(write_dataset(tmp_path / "d", kinematics=tilted, robot="arm"))
+    dataset = open_dataset(write_dataset(tmp_path / "d", kinematics=tilted))
     with pytest.raises(InvalidInputError, match="turn_base needs"):
-        Augmentation(dataset, turn_base=True, mirror=False)
-    with pytest.raises(InvalidInputError, match="mirror knows panda, not 'arm'"):
-        Augmentation(dataset, turn_base=False, mirror=True)
+        BaseTurn(dataset, True)
 
 
 # ---------------------------------------------------------------- batches
@@ -238,9 +221,9 @@ def test_groups_have_each_path_once_and_one_scene(dataset):
 
 def test_batches_repeat_by_seed_and_differ_by_epoch(dataset):
     settings = SceneBatchSettings(scenes=2, paths_per_scene=3, turn_base=True, cloud=CloudSettings(points=64))
-    augmentation = Augmentation(dataset, turn_base=True, mirror=False)
+    turn = BaseTurn(dataset, True)
     first, same, other = (
-        SceneBatches.of_epoch(dataset, settings, augmentation, 5, epoch) for epoch in (0, 0, 1)
+        SceneBatches.of_epoch(dataset, settings, turn, 5, epoch) for epoch in (0, 0, 1)
     )
     batch = first[1]
     assert (

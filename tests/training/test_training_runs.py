@@ -13,6 +13,7 @@ import torch
 from training_data import kinematics, write_dataset
 
 from cli.main import main
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.compact.inference import CompactInference
@@ -23,12 +24,12 @@ from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.training import run_folder
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions
-from cvqmpt_lab.training.loop import OptimizerSettings
+from cvqmpt_lab.training.measures import area_under_curve
+from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.point_clouds import CloudSettings
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.run_folder import RunFolder
 from cvqmpt_lab.training.runner import Request, run_training
-from cvqmpt_lab.training.stage2 import area_under_curve
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24)
 CLOUD = CloudSettings(points=48)
@@ -334,17 +335,17 @@ def test_a_full_disk_is_one_line_and_keeps_the_earlier_state(tmp_path, monkeypat
 
 def test_profiles_survive_json():
     for profile in PROFILES.values():
-        assert Profile.from_json(json.loads(json.dumps(profile.to_json()))) == profile
+        assert from_plain(Profile, json.loads(json.dumps(to_plain(profile)))) == profile
     with pytest.raises(CvqmptError, match="unknown profile 'big'; valid choices: smoke, compact, published"):
         profile_named("big")
-    data = SMOKE.to_json()
+    data = to_plain(SMOKE, complete=True)
     data["stage2"]["batches"]["speed"] = 1
     with pytest.raises(InvalidInputError, match=r"profile.stage2.batches.speed is unknown"):
-        Profile.from_json(data)
-    data = SMOKE.to_json()
+        from_plain(Profile, data, "profile")
+    data = to_plain(SMOKE, complete=True)
     data["mpnet_model"]["n_points"] = 7
-    with pytest.raises(InvalidInputError, match=r"must equal profile\.mpnet_model\.n_points"):
-        Profile.from_json(data)
+    with pytest.raises(InvalidInputError, match=r"profile: .* must equal mpnet_model\.n_points"):
+        from_plain(Profile, data, "profile")
 
 
 def test_rates():
@@ -365,14 +366,14 @@ def test_area_under_the_curve():
 
 def test_the_command_line(tmp_path, capsys, data):
     config = tmp_path / "mine.json"
-    config.write_text(json.dumps(TINY.to_json()))
+    config.write_text(json.dumps(to_plain(TINY)))
     common = ["train", "stage1", "--config", str(config), "--data", str(data), "--device", "cpu"]
     assert main([*common, "--out", str(tmp_path / "s1"), "--epochs", "1"]) == 0
     captured = capsys.readouterr()
     assert "validation_nll" in captured.out and f"model in {tmp_path / 's1' / 'model'}" in captured.out
     assert "stage1 epoch 1/1 batch 6/6 loss" in captured.err and "left" in captured.err
     assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
-    assert Profile.from_json(json.loads(capsys.readouterr().out)) == SMOKE
+    assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
     refusals = {
         "give --out DIR": common,
         "no dataset in": [*common[:4], "--data", str(tmp_path), "--out", str(tmp_path / "x")],

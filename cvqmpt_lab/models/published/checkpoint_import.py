@@ -10,15 +10,8 @@ from torch import Tensor
 from cvqmpt_lab.codec import from_plain, located
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object, require_regular_file
+from cvqmpt_lab.models import config as sizes
 from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.config import (
-    DictionaryConfig,
-    ModelConfig,
-    PointCloudConfig,
-    SequenceConfig,
-    SetAbstractionConfig,
-    TransformerConfig,
-)
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.published.pickles import read_tensors
 from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
@@ -104,7 +97,7 @@ def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) 
     return ImportedModel(Checkpoint(config, robot, dictionary, sequence_model, metadata), report)
 
 
-def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
+def _config(dictionary_dir: Path, ar_dir: Path) -> sizes.ModelConfig:
     stage1 = _fields(dictionary_dir / "model_params.json", (*_SIZES, "n_position", "c_space_dim"))
     context = _fields(ar_dir / "cross_attn.json", (*_SIZES, "d_context"))
     sequence = _fields(ar_dir / "ar_params.json", (*_SIZES, "num_keys"))
@@ -121,25 +114,25 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
 
 def _model_config(
     stage1: Mapping[str, Any], context: Mapping[str, Any], sequence: Mapping[str, Any]
-) -> ModelConfig:
-    return ModelConfig(
+) -> sizes.ModelConfig:
+    return sizes.ModelConfig(
         kind="published",
         joint_dim=stage1["c_space_dim"],
-        dictionary=DictionaryConfig(
+        dictionary=sizes.DictionaryConfig(
             transformer=_sizes(stage1),
             n_position=stage1["n_position"],
             n_codes=sequence["num_keys"] - 2,
             code_dim=CODE_DIM,
         ),
-        point_cloud=PointCloudConfig(
-            sa2=SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, stage1["d_model"])),
+        point_cloud=sizes.PointCloudConfig(
+            sa2=sizes.SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, stage1["d_model"])),
         ),
-        sequence=SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
+        sequence=sizes.SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
     )
 
 
-def _sizes(fields: Mapping[str, Any]) -> TransformerConfig:
-    return TransformerConfig(**{name: fields[name] for name in _SIZES})
+def _sizes(fields: Mapping[str, Any]) -> sizes.TransformerConfig:
+    return sizes.TransformerConfig(**{name: fields[name] for name in _SIZES})
 
 
 def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:

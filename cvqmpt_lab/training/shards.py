@@ -1,0 +1,172 @@
+"""A folder of training paths on disk, checked array by array.
+
+As ``cvqmpt data generate`` writes it::
+
+    dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families, kinematics (see
+                     link_positions), provenance
+    shards.csv       shard, sha256, scenes, paths
+    shards/NNNNNN.npz
+        family (s,) uint8, scene_seed (s,) int64
+        shape_start (s+1,) int32: ranges into the shapes; shape_kind (m,) uint8, shape_size (m,3) float32 and
+        shape_pose (m,3,4) float32: as in dataset.Scenes
+        path_scene (p,) int32: row of the scene in this shard; path_start (p+1,) int32: ranges into the waypoints
+        waypoints (w,n) uint16: u * 65535, at most 0.13 rad apart along a path
+        length, straight (p,) float32 [rad]; trivial (p,) bool: the straight line is free
+        twin_of (p,) int32: row of the path in this shard of which this is a second label, or -1
+        probe_q (s,c,n) uint16, probe_free (s,c) bool: optional, configurations and whether they are free
+        edge_q (s,e,2,n) uint16, edge_free (s,e) bool: optional, straight motions and whether they are free
+"""
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_bytes, read_text, require_regular_file
+
+SCHEMA = 1
+DESCRIPTION_FILE = "dataset.json"
+INDEX_FILE = "shards.csv"
+SHARDS_FOLDER = "shards"
+COLUMNS = ("shard", "sha256", "scenes", "paths")
+FULL_SCALE = 65535.0
+"""What a stored joint is at the upper limit."""
+
+Arrays = dict[str, np.ndarray]
+
+_REQUIRED = {
+    "family": (1, "u"),
+    "scene_seed": (1, "iu"),
+    "shape_start": (1, "iu"),
+    "shape_kind": (1, "u"),
+    "shape_size": (2, "f"),
+    "shape_pose": (3, "f"),
+    "path_scene": (1, "iu"),
+    "path_start": (1, "iu"),
+    "waypoints": (2, "u"),
+    "length": (1, "f"),
+    "straight": (1, "f"),
+    "trivial": (1, "b"),
+    "twin_of": (1, "i"),
+}
+_OPTIONAL = {"probe_q": (3, "u"), "probe_free": (2, "b"), "edge_q": (4, "u"), "edge_free": (2, "b")}
+"""Dimensions and kinds of numbers (numpy's letters) of every array."""
+
+
+@dataclass(frozen=True)
+class IndexRow:
+    """One line of the index."""
+
+    shard: int
+    sha256: str
+    scenes: int
+    paths: int
+
+    @property
+    def file(self) -> str:
+        """Name of the shard's file."""
+        return f"{self.shard:06d}.npz"
+
+
+def read_index(folder: Path) -> list[IndexRow]:
+    """Lines of the index.
+
+    Raises
+    ------
+    InvalidInputError
+        When it is missing, cut short or damaged, lists nothing, or a shard twice.
+    """
+    path = folder / INDEX_FILE
+    text = read_text(require_regular_file(path))
+    reader = csv.reader(io.StringIO(text, newline=""))
+    if tuple(next(reader, ())) != COLUMNS:
+        raise InvalidInputError(f"{path}: the first line must be {','.join(COLUMNS)}")
+    if not text.endswith("\n"):
+        raise InvalidInputError(f"{path} is cut short; generate again, which completes it")
+    rows = []
+    for number, fields in enumerate(reader, 2):
+        if len(fields) != len(COLUMNS) or not all(
+            f.isascii() and f.isdigit() for f in (fields[0], *fields[2:])
+        ):
+            raise InvalidInputError(f"{path}, line {number} is damaged; delete the line and generate again")
+        rows.append(IndexRow(int(fields[0]), fields[1], int(fields[2]), int(fields[3])))
+    if not rows:
+        raise InvalidInputError(f"{path} lists no shard; generate paths first")
+    if len({row.shard for row in rows}) < len(rows):
+        raise InvalidInputError(f"{path} lists a shard twice; delete the second line")
+    return rows
+
+
+def read_shard(folder: Path, row: IndexRow, joints: int, families: int, *, verify: bool = True) -> Arrays:
+    """Arrays of one shard, checked against each other and the index.
+
+    Raises
+    ------
+    InvalidInputError
+        When the file is missing or damaged, naming the arrays that contradict each other.
+    """
+    path = folder / SHARDS_FOLDER / row.file
+    data = read_bytes(require_regular_file(path))
+    if verify and hashlib.sha256(data).hexdigest() != row.sha256:
+        raise InvalidInputError(f"{path} is damaged (sha256); fetch or generate it again")
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except Exception as error:  # what a damaged archive raises depends on the byte
+        raise InvalidInputError(f"{path} is not a readable shard: {error}") from error
+    for name, (dimensions, kinds) in (
+        _REQUIRED | {n: _OPTIONAL[n] for n in _OPTIONAL if n in arrays}
+    ).items():
+        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in kinds:
+            raise InvalidInputError(f"{path}: array {name} is missing or not as described")
+    wrong = [name for name, passes in _checks(arrays, row, joints, families) if not passes]
+    if wrong:
+        raise InvalidInputError(
+            f"{path}: {', '.join(wrong)} does not fit the other arrays; generate it again"
+        )
+    return arrays
+
+
+def _checks(arrays: Arrays, row: IndexRow, joints: int, families: int) -> Iterator[tuple[str, bool]]:
+    """What must hold, by the array to name when it does not."""
+    s, m, p = (len(arrays[name]) for name in ("scene_seed", "shape_kind", "path_scene"))
+    waypoints, path_start = arrays["waypoints"], arrays["path_start"]
+    yield "scenes in the index", row.scenes == s
+    yield "paths in the index", row.paths == p
+    yield "family", len(arrays["family"]) == s and _within(arrays["family"], 0, families)
+    yield "shape_kind", _within(arrays["shape_kind"], 0, 3)
+    yield "shape_size", arrays["shape_size"].shape == (m, 3) and _are_finite(arrays["shape_size"])
+    yield "shape_pose", arrays["shape_pose"].shape == (m, 3, 4) and _are_finite(arrays["shape_pose"])
+    yield "shape_start", _are_ranges(arrays["shape_start"], s, m)
+    yield "waypoints", waypoints.dtype == np.uint16 and waypoints.shape[1] == joints
+    yield "path_start", _are_ranges(path_start, p, len(waypoints)) and bool((np.diff(path_start) >= 2).all())
+    yield "path_scene", _within(arrays["path_scene"], 0, s)
+    yield "twin_of", len(arrays["twin_of"]) == p and _within(arrays["twin_of"], -1, p)
+    for name in ("length", "straight", "trivial"):
+        yield name, len(arrays[name]) == p and _are_finite(arrays[name])
+    for name in ("probe", "edge"):
+        q, free = arrays.get(f"{name}_q"), arrays.get(f"{name}_free")
+        if q is not None:
+            yield f"{name}_q", q.dtype == np.uint16 and (len(q), q.shape[-1]) == (s, joints)
+            yield f"{name}_free", free is not None and free.shape == q.shape[:2]
+            yield f"{name}_q", name == "probe" or q.shape[2] == 2
+
+
+def _within(values: np.ndarray, lower: int, upper: int) -> bool:
+    return bool(((values >= lower) & (values < upper)).all())
+
+
+def _are_finite(values: np.ndarray) -> bool:
+    return bool(np.isfinite(values).all())
+
+
+def _are_ranges(start: np.ndarray, count: int, total: int) -> bool:
+    """Whether start (count + 1,) divides a total of items into ranges."""
+    return (
+        len(start) == count + 1 and start[0] == 0 and start[-1] == total and bool((np.diff(start) >= 0).all())
+    )
