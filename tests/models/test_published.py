@@ -320,7 +320,9 @@ def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
     logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
     visible = torch.tensor([[True, True, True], [True, True, False]])
     picked = [logits[b, p].log_softmax(0)[targets[b, p]] for b in range(2) for p in range(3) if visible[b, p]]
-    torch.testing.assert_close(sequence_loss(logits[visible], targets[visible], 2), -torch.stack(picked).sum() / 2)
+    torch.testing.assert_close(
+        sequence_loss(logits[visible], targets[visible], 2), -torch.stack(picked).sum() / 2
+    )
 
 
 @pytest.mark.parametrize("config", [SMALL, ModelConfig(), ModelConfig.compact(feature_dim=24)])

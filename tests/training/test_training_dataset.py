@@ -136,7 +136,9 @@ def test_a_damaged_index_is_refused(folder, tmp_path, change, message):
         open_dataset(tmp_path / "d")
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"a": ' * 100_000, '{"schema": 1}', '{"schema": 1, "schema": 1}'])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", '{"a": ' * 100_000, '{"schema": 1}', '{"schema": 1, "schema": 1}']
+)
 def test_a_damaged_description_is_one_line(folder, tmp_path, text):
     shutil.copytree(folder, tmp_path / "d")
     (tmp_path / "d" / "dataset.json").write_text(text)

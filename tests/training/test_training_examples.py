@@ -222,9 +222,7 @@ def test_groups_have_each_path_once_and_one_scene(dataset):
 def test_batches_repeat_by_seed_and_differ_by_epoch(dataset):
     settings = SceneBatchSettings(scenes=2, paths_per_scene=3, turn_base=True, cloud=CloudSettings(points=64))
     turn = BaseTurn(dataset, True)
-    first, same, other = (
-        SceneBatches.of_epoch(dataset, settings, turn, 5, epoch) for epoch in (0, 0, 1)
-    )
+    first, same, other = (SceneBatches.of_epoch(dataset, settings, turn, 5, epoch) for epoch in (0, 0, 1))
     batch = first[1]
     assert (
         batch["cloud"].shape == (2, 64, 3)
