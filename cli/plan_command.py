@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cli.options import add_budget, add_model, budget, writable_file
 from cli.plan_report import as_json, report
+from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
@@ -24,6 +25,7 @@ EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
     "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
     "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
+    "cvqmpt plan place-task --problem 7 --picture plan.png --save plan.gif",
     "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
     "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
     "cvqmpt plan --task-file task.json --planner guided-birrt",
@@ -45,12 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="T.json",
         help="a task of several phases instead, planned phase by phase",
-    )
-    parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="T.png",
-        help="of a task: a still picture of the end of each phase",
     )
     robot = parser.add_argument_group("another robot for the problem of --problem-file")
     robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="a serial arm of hinges and sliders")
@@ -76,8 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-v", "--verbose", action="store_true", help="say on standard error what happens inside"
     )
     add_budget(parser)
-    parser.add_argument("--save", type=Path, metavar="RUN.rrd", help="write a rerun recording")
-    parser.add_argument("--view", action="store_true", help="open the rerun viewer")
+    add_show(parser)
     parser.add_argument("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
     parser.add_argument(
         "--trajectory",
@@ -95,15 +90,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    for path in (args.save, args.save_path, args.trajectory, args.picture):
+    for path in (args.save_path, args.trajectory):
         if path is not None:
             writable_file(path)
+    check_show(args)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
     if args.task_file is not None or args.suite == MULTI_SEQUENCE:
         return _plan_task(args)
-    if args.picture is not None:
-        raise InvalidInputError("--picture goes with a task; --save shows the solution of a problem")
     method = planner_named(args.planner, args.model)
     problem = _problem(args)
     _check_timing(args, problem)
@@ -118,12 +112,9 @@ def run(args: argparse.Namespace) -> int:
         say(f"path written to {args.save_path}")
     if args.trajectory:
         say(_write_trajectory(args, solution))
-    if args.save or args.view:
-        from cvqmpt_lab.show.recording import log_solution
-
-        log_solution(solution, save=args.save, view=args.view)
-        if args.save:
-            say(f"recording written to {args.save}; open it with: rerun {args.save}")
+    carried = suite_named(args.suite).carried if args.suite else ()
+    for line in show_solution(args, solution, carried):
+        say(line)
     return 0 if solution.solved else 1
 
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from cli.options import ProgressBar, budget
+from cli.show_options import show_task
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.tasks.solve_task import TaskSolution, solve_task
@@ -65,15 +66,8 @@ def run_one_task(args: argparse.Namespace) -> int:
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)
     print("\n".join(task_report(solution, args.planner)))
-    if args.save:
-        from cvqmpt_lab.show.task_recording import log_task
-
-        log_task(solution, args.save)
-        print(f"recording written to {args.save}; open it with: rerun {args.save}")
-    if args.picture:
-        from cvqmpt_lab.show.task_still import draw_task
-
-        print(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
+    for line in show_task(args, solution):
+        print(line)
     return 0 if solution.solved else 1
 
 

@@ -1,13 +1,12 @@
-"""Showing a solution in rerun: scene, robot, trees, paths and plots. With task_viewer.py the only door to rerun.
+"""Showing a solution in rerun: scene, robot, trees, paths and plots. With task_recording.py the only door to rerun.
 
-Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/trees``, ``world/path``, ``world/robot``
-(moving along the path) and ``plots``. The timeline "path_state" counts the states of the path shown.
+Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/path``, ``world/robot`` (moving along the path),
+``trees`` (growing) and ``plots``. The timeline "path_state" counts the states of the path shown, "vertices" those
+of the trees as they grow.
 """
 
-import shutil
-import sys
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planning.result import Path as JointPath
 from cvqmpt_lab.planning.result import Tree
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
 from cvqmpt_lab.show.meshes import (
@@ -35,18 +36,26 @@ from cvqmpt_lab.show.meshes import (
     is_ground,
     poses_along,
 )
+from cvqmpt_lab.show.plots import Plot, plots_along
+from cvqmpt_lab.show.still import with_load
+from cvqmpt_lab.show.viewer import check_viewer, open_viewer
 
 TIMELINE = "path_state"
+GROWTH = "vertices"
+GROWTH_STEPS = 60  # in which trees are shown growing
 GOALS_SHOWN = 3
 GHOST_OPACITY = 0.35
 GROUND_HALF_SIDE = 2.5  # [m] shown of a floor, around its middle
-FLUSH_SECONDS = 10.0
 RAW_COLOUR: Colour = (0.55, 0.55, 0.58)
 TREE_COLOURS: tuple[Colour, ...] = (GHOST_COLOUR, GOAL_COLOUR)
 
 
-def log_solution(solution: Solution, save: Path | None = None, view: bool = False) -> None:
+def log_solution(
+    solution: Solution, save: Path | None = None, view: bool = False, carried: Sequence[Attachment] = ()
+) -> None:
     """Write a solution to a .rrd file, show it in the rerun viewer, or both; works without a display to save.
+
+    carried: what the hand is shown with where the problem does not model it.
 
     Raises
     ------
@@ -54,43 +63,32 @@ def log_solution(solution: Solution, save: Path | None = None, view: bool = Fals
     """
     if save is None and not view:
         raise InvalidInputError("nothing to do with the recording: give save=<file.rrd>, view=True or both")
-    if save is not None:
-        save_recording(Path(save), _blueprint(), lambda recording: _log_everything(recording, solution))
     if view:
-        _view(solution)
+        check_viewer()
+    path = Path(save) if save is not None else Path(tempfile.mkdtemp(prefix="cvqmpt-")) / "solution.rrd"
+    problem = with_load(solution.problem, carried)
+    states = None if solution.simplified is None else solution.simplified.path.states
+    plots = () if states is None else plots_along(problem, states)
+    save_recording(
+        path, _blueprint(plots), lambda recording: _log_everything(recording, solution, problem, plots)
+    )
+    if view:
+        open_viewer(path)
 
 
 def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
     """Log to a file that takes its name only when it is complete."""
     recording = _recording()
-    temporary = path.with_name(path.name + ".tmp")
     try:
-        recording.save(temporary, default_blueprint=blueprint)
-        log(recording)
-        recording.flush()
-        recording.disconnect()
-        temporary.replace(path)
-    except (OSError, RuntimeError) as error:
-        with suppress(OSError):
-            temporary.unlink()
+        with replacing(path) as temporary:
+            recording.save(temporary, default_blueprint=blueprint)
+            log(recording)
+            recording.flush()
+            recording.disconnect()
+    except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise InvalidInputError(
             f"cannot write recording {path}: {reason}; name a file in a folder that exists"
-        ) from error
-
-
-def _view(solution: Solution) -> None:
-    """Open the viewer that came with rerun-sdk, also from an environment that is not activated."""
-    recording = _recording()
-    beside_python = shutil.which("rerun", path=str(Path(sys.executable).parent))
-    try:
-        rr.spawn(recording=recording, executable_path=beside_python, default_blueprint=_blueprint())
-        _log_everything(recording, solution)
-        recording.flush(timeout_sec=FLUSH_SECONDS)
-    except RuntimeError as error:
-        reason = str(error).split("\n")[0]
-        raise InvalidInputError(
-            f"cannot open the rerun viewer ({reason}): without a display, save a file and open it elsewhere"
         ) from error
 
 
@@ -101,33 +99,45 @@ def _recording() -> rr.RecordingStream:
     return recording
 
 
-def _blueprint() -> rrb.Blueprint:
-    """The world on the left, the plots on the right, the path's timeline below."""
+def _blueprint(plots: Sequence[Plot]) -> rrb.Blueprint:
+    """The world and the trees on the left, the plots on the right, timelines below."""
     eye = rrb.EyeControls3D(position=(-1.7, -2.0, 1.75), look_target=(0.4, -0.1, 0.5), eye_up=(0.0, 0.0, 1.0))
-    plots = [
-        rrb.TimeSeriesView(origin="plots/violation", name="constraint violation [rad], [m]"),
-        rrb.TimeSeriesView(origin="plots/joints", name="joint values [rad or m]"),
+    world = rrb.Spatial3DView(
+        origin="/", contents="world/**", name="motion (timeline path_state)", eye_controls=eye
+    )
+    still = ["world/scene/**", "world/start/**", "world/goals/**", "trees/**"]
+    trees = rrb.Spatial3DView(origin="/", contents=still, name="trees (timeline vertices)", eye_controls=eye)
+    views = [
+        rrb.TimeSeriesView(
+            origin=f"plots/{plot.name}",
+            name=plot.title,
+            axis_y=rrb.ScalarAxis(range=plot.range),
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+        )
+        for plot in plots
     ]
-    world = rrb.Spatial3DView(origin="world", name="world", eye_controls=eye)
+    left = rrb.Tabs(world, trees, active_tab=0)
     return rrb.Blueprint(
-        rrb.Horizontal(world, rrb.Vertical(*plots), column_shares=[3, 1]),
+        rrb.Horizontal(left, rrb.Vertical(*views), column_shares=[2, 1]) if views else left,
         rrb.TimePanel(timeline=TIMELINE),
         collapse_panels=True,
     )
 
 
-def _log_everything(recording: rr.RecordingStream, solution: Solution) -> None:
-    problem = solution.problem
+def _log_everything(
+    recording: rr.RecordingStream, solution: Solution, problem: PlanningProblem, plots: Sequence[Plot]
+) -> None:
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     log_scene(recording, problem.scene)
     log_ghosts(recording, problem)
-    log_trees(recording, problem.robot, solution.plan.trees)
+    log_growth(recording, problem.robot, solution.plan.trees)
     if solution.plan.path is not None:
         log_path(recording, "raw", problem.robot, solution.plan.path, RAW_COLOUR, 0.002)
     if solution.simplified is not None:
         log_path(recording, "simplified", problem.robot, solution.simplified.path, TRACE_COLOUR, 0.005)
         log_motion(recording, problem, solution.simplified.path.states)
-        log_plots(recording, problem, solution.simplified.path.states)
+    for plot in plots:
+        log_plot(recording, plot)
 
 
 def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
@@ -167,19 +177,22 @@ def log_robot(
         )
 
 
-def log_trees(recording: rr.RecordingStream, robot: Robot, trees: tuple[Tree, ...]) -> None:
-    """Hand positions of the nodes of each tree, and the edges between them; not on the timeline."""
+def log_growth(recording: rr.RecordingStream, robot: Robot, trees: tuple[Tree, ...]) -> None:
+    """Hand positions of the trees' nodes and the edges between them, piece by piece as they grow side by side."""
     for k, tree in enumerate(trees):
-        if len(tree.nodes) == 0:
-            continue
         colour = _rgba(TREE_COLOURS[k % len(TREE_COLOURS)])
-        hand = _hand_positions(robot, tree.nodes)
-        child = np.flatnonzero(tree.parent >= 0)
-        edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
-        recording.log(f"world/trees/{k}/nodes", rr.Points3D(hand, radii=0.003, colors=colour), static=True)
-        recording.log(
-            f"world/trees/{k}/edges", rr.LineStrips3D(edges, radii=0.0008, colors=colour), static=True
-        )
+        hand = _hand_positions(robot, tree.nodes) if len(tree.nodes) else np.empty((0, 3))
+        for step, added in enumerate(
+            np.array_split(np.arange(len(hand)), min(GROWTH_STEPS, max(1, len(hand))))
+        ):
+            if len(added) == 0:
+                continue
+            child = added[tree.parent[added] >= 0]
+            edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
+            recording.set_time(GROWTH, sequence=int(added[-1]) + 1)
+            recording.log(f"trees/{k}/nodes/{step}", rr.Points3D(hand[added], radii=0.003, colors=colour))
+            recording.log(f"trees/{k}/edges/{step}", rr.LineStrips3D(edges, radii=0.0008, colors=colour))
+    recording.reset_time()
 
 
 def log_path(
@@ -200,24 +213,14 @@ def log_motion(recording: rr.RecordingStream, problem: PlanningProblem, states: 
         recording.send_columns(f"world/robot/{link}", [_time(len(states))], columns)
 
 
-def log_plots(recording: rr.RecordingStream, problem: PlanningProblem, states: np.ndarray) -> None:
-    """Constraint violation and joint values at states (m, n)."""
-    curves = {f"plots/violation/{unit}": values for unit, values in violations(problem, states).items()}
-    curves |= {f"plots/joints/{name}": states[:, j] for j, name in enumerate(problem.robot.joint_names)}
-    for entity, values in curves.items():
-        recording.log(entity, rr.SeriesLines(names=entity.split("/")[-1]), static=True)
-        recording.send_columns(entity, [_time(len(states))], rr.Scalars.columns(scalars=values))
-
-
-def violations(problem: PlanningProblem, states: np.ndarray) -> Mapping[str, np.ndarray]:
-    """Largest distance (m,) outside the constraint's bounds at states (m, n), under "rad" and "m"."""
-    manifold = problem.manifold
-    outside = np.abs(manifold.residual(states)).reshape(len(states), manifold.dim)
-    turns = manifold.regions().axis >= 3
-    return {
-        "rad": outside[:, turns].max(axis=1, initial=0.0),
-        "m": outside[:, ~turns].max(axis=1, initial=0.0),
-    }
+def log_plot(recording: rr.RecordingStream, plot: Plot) -> None:
+    """A plot's curves."""
+    for name, curve in plot.curves.items():
+        entity = f"plots/{plot.name}/{name.replace(' ', '_')}"
+        colour = None if curve.colour is None else _rgba(curve.colour)
+        recording.log(entity, rr.SeriesLines(names=name, colors=colour, widths=curve.width), static=True)
+        columns = rr.Scalars.columns(scalars=curve.values)
+        recording.send_columns(entity, [_time(len(curve.values))], columns)
 
 
 def _hand_positions(robot: Robot, states: np.ndarray) -> np.ndarray:

@@ -5,18 +5,23 @@ of the robot along the path and at the goal, and the hand's trace, are blended o
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.show.framing import clear_viewpoint
+from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
     GOAL_COLOUR,
+    LOAD_COLOUR,
     ROBOT_COLOUR,
     TRACE_COLOUR,
     Mesh,
@@ -28,9 +33,23 @@ from cvqmpt_lab.show.meshes import (
     scene_meshes,
     travelled_along,
 )
-from cvqmpt_lab.show.rasteriser import Viewpoint, rasterise, shaded, solid_image
+from cvqmpt_lab.show.rasteriser import View, Viewpoint, rasterise
+from cvqmpt_lab.show.stage import Picture, Stage, light
 
 SUPERSAMPLING = 2
+HIDDEN = ("walls/right",)
+"""Scene objects that stand between the usual viewpoint and the robot."""
+LEGEND_SHARE = 0.2  # of a picture's height; pictures too small for their legend have none
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A translucent mesh."""
+
+    mesh: Mesh
+    opacity: float
+    opacity_behind: float = 0.0
+    """Where something solid is in front of it."""
 
 
 def draw_solution(
@@ -39,15 +58,18 @@ def draw_solution(
     size: tuple[int, int] = (1200, 800),
     ghosts: int = 4,
     viewpoint: Viewpoint | None = None,
-    hidden: Sequence[str] = ("walls/right",),
+    hidden: Sequence[str] = HIDDEN,
+    carried: Sequence[Attachment] = (),
 ) -> None:
-    """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, and the hand's trace.
+    """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, the hand's trace, a legend.
 
     Parameters
     ----------
-    size: width and height [pixels].
+    size: width and height [pixels], legend included.
     ghosts: number of poses shown between start and goal.
+    viewpoint: None for one from which the motion is seen well.
     hidden: names of scene objects left out because they stand in the way.
+    carried: what the hand is shown with where the problem does not model it.
 
     Raises
     ------
@@ -55,15 +77,21 @@ def draw_solution(
     """
     if min(size) < 1:
         raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
-    problem, viewpoint = solution.problem, viewpoint or Viewpoint()
-    shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
-    image, depth = _still(problem, problem.start, viewpoint, shape, hidden)
-    for mesh, opacity, opacity_behind in _translucent(solution, ghosts):
-        view = rasterise(mesh, viewpoint, shape)
-        at = view.rows, view.columns
-        share = np.where(view.depth < depth[at] - 1e-3, opacity, opacity_behind)[:, None]
-        image[at] += share * (shaded(mesh.colours[view.face], view.normals) - image[at])
-    write_png(Path(path), _eight_bit(image))
+    problem = with_load(solution.problem, carried)
+    states = None if solution.simplified is None else solution.simplified.path.states
+    strip = Strip(_legend(problem, states is not None, ghosts), size[0])
+    legend = [strip.image()] if strip.height < LEGEND_SHARE * size[1] else []
+    height = size[1] - sum(len(part) for part in legend)
+    layers = list(_translucent(problem, states, ghosts))
+    if viewpoint is None:
+        start = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+        seen = [start, *(layer.mesh for layer in layers[-2:])]
+        viewpoint = clear_viewpoint(seen, scene_meshes(problem, hidden), (size[0], height))
+    stage = stage_of(problem, viewpoint, (size[0], height), hidden)
+    picture = stage.picture(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+    for layer in layers:
+        blend(picture, layer, rasterise(layer.mesh, viewpoint, stage.shape), viewpoint)
+    write_png(Path(path), np.concatenate([eight_bit(picture.image), *legend]))
 
 
 def still_image(
@@ -71,60 +99,73 @@ def still_image(
     q: np.ndarray,
     size: tuple[int, int] = (900, 600),
     viewpoint: Viewpoint | None = None,
-    hidden: Sequence[str] = ("walls/right",),
+    hidden: Sequence[str] = HIDDEN,
 ) -> np.ndarray:
     """Colours (height, width, 3), 8 bit, of the scene and the robot at q (n,); what figures are drawn over.
 
     `Viewpoint.screen` says where in it a point is.
     """
+    stage = stage_of(problem, viewpoint or Viewpoint(), size, hidden)
+    return eight_bit(stage.picture(robot_meshes(problem, q, ROBOT_COLOUR)).image)
+
+
+def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> PlanningProblem:
+    """The problem with something in the hand, where it has nothing there itself."""
+    return problem if problem.attachments else replace(problem, attachments=tuple(carried))
+
+
+def stage_of(
+    problem: PlanningProblem, viewpoint: Viewpoint, size: tuple[int, int], hidden: Sequence[str] = HIDDEN
+) -> Stage:
+    """The problem's scene, for pictures of (width, height) pixels that `eight_bit` makes."""
     shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
-    return _eight_bit(_still(problem, q, viewpoint or Viewpoint(), shape, hidden)[0])
+    return Stage(scene_meshes(problem, hidden), ground_height(problem), viewpoint, shape)
 
 
-def _still(
-    problem: PlanningProblem,
-    q: np.ndarray,
-    viewpoint: Viewpoint,
-    shape: tuple[int, int],
-    hidden: Sequence[str],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Colours (rows, columns, 3) and depth [m] of scene and robot."""
-    solid = joined([*scene_meshes(problem, hidden), *robot_meshes(problem, q, ROBOT_COLOUR)])
-    return solid_image(solid, ground_height(problem), viewpoint, shape)
+def blend(picture: Picture, layer: Layer, view: View, viewpoint: Viewpoint) -> None:
+    """Lay a translucent mesh, of which `rasterise` gave a view, over a picture."""
+    at = view.rows, view.columns
+    share = np.where(view.depth < picture.depth[at] - 1e-3, layer.opacity, layer.opacity_behind)[:, None]
+    sky, sunlight = light(view.normals, viewpoint)
+    colours = layer.mesh.colours[view.face] * (sky + sunlight)[:, None]
+    picture.image[at] += share * (colours - picture.image[at])
 
 
-def _eight_bit(image: np.ndarray) -> np.ndarray:
+def eight_bit(image: np.ndarray) -> np.ndarray:
     """Colours in [0, 1] at SUPERSAMPLING times the size as 8-bit colours of the picture."""
     rows, columns = (side // SUPERSAMPLING for side in image.shape[:2])
     smaller = image.reshape(rows, SUPERSAMPLING, columns, SUPERSAMPLING, 3).mean(axis=(1, 3))
     return (255.0 * np.clip(smaller, 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
-def _translucent(solution: Solution, ghosts: int) -> Iterator[tuple[Mesh, float, float]]:
-    """What is blended over the solid layer: (mesh, opacity, opacity behind something solid)."""
-    problem = solution.problem
-    if solution.simplified is None:
+def _translucent(problem: PlanningProblem, states: np.ndarray | None, ghosts: int) -> Iterator[Layer]:
+    """What is blended over the solid layer; states (m, n) of the path, or None."""
+    if states is None:
         for goal in problem.goals[:1]:
-            yield joined(robot_meshes(problem, goal, GOAL_COLOUR)), 0.5, 0.0
+            yield Layer(joined(robot_meshes(problem, goal, GOAL_COLOUR)), 0.5)
         return
-    states = solution.simplified.path.states
     travelled = travelled_along(states)
     for k in range(1, ghosts + 1):
         between = states[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))]
-        yield joined(robot_meshes(problem, between, GHOST_COLOUR)), 0.25, 0.0
-    yield joined(robot_meshes(problem, states[-1], GOAL_COLOUR)), 0.55, 0.0
-    yield beads(poses_along(problem.robot, states)[1][:, :3, 3], TRACE_COLOUR), 1.0, 0.45
+        yield Layer(joined(robot_meshes(problem, between, GHOST_COLOUR)), 0.25)
+    yield Layer(joined(robot_meshes(problem, states[-1], GOAL_COLOUR)), 0.55)
+    yield Layer(beads(poses_along(problem.robot, states)[1][:, :3, 3], TRACE_COLOUR), 1.0, 0.45)
+
+
+def _legend(problem: PlanningProblem, solved: bool, ghosts: int) -> list[Label]:
+    """What the colours mean."""
+    labels = [Label("start", ROBOT_COLOUR)]
+    if solved and ghosts:
+        labels.append(Label("on the way", GHOST_COLOUR))
+    if solved or len(problem.goals):
+        labels.append(Label("goal", GOAL_COLOUR))
+    labels.append(Label("path of the hand", TRACE_COLOUR) if solved else Label("no path found"))
+    if problem.attachments:
+        labels.append(Label("carried: " + ", ".join(item.name for item in problem.attachments), LOAD_COLOUR))
+    return labels
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """Write 8-bit colours (rows, columns, 3)."""
-    temporary = path.with_name(path.name + ".tmp")
-    try:
+    with replacing(path) as temporary:
         Image.fromarray(image).save(temporary, format="PNG", optimize=True)
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
-        raise InvalidInputError(
-            f"cannot write picture {path}: {error.strerror}; name a file in a folder that exists"
-        ) from error

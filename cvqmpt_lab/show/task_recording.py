@@ -76,7 +76,7 @@ def log_task(solution: TaskSolution, save: Path) -> None:
 def _log(recording: rr.RecordingStream, solution: TaskSolution, shown: list[Frame]) -> None:
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     first = solution.task.scene
-    moving = _moving_poses(first.names, shown)
+    moving = moving_poses(first.names, shown)
     log_scene(recording, first.without(*moving))
     times = np.array([frame.time for frame in shown])
     for name, poses in moving.items():
@@ -101,7 +101,7 @@ def _send(recording: rr.RecordingStream, entity: str, times: np.ndarray, poses: 
     recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=times)], columns)
 
 
-def _moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.ndarray]:
+def moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.ndarray]:
     """Poses (k, 4, 4) of the objects that do not stay where they are."""
     standing = {name: [] for name in names}  # type: dict[str, list[np.ndarray]]
     for frame in shown:

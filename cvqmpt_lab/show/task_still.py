@@ -7,13 +7,17 @@ import numpy as np
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.show.framing import clear_viewpoint
+from cvqmpt_lab.show.labels import Label, Strip
+from cvqmpt_lab.show.meshes import ROBOT_COLOUR, joined, robot_meshes, scene_meshes
 from cvqmpt_lab.show.rasteriser import Viewpoint
-from cvqmpt_lab.show.still import still_image, write_png
+from cvqmpt_lab.show.still import HIDDEN, still_image, write_png
 from cvqmpt_lab.tasks.solve_task import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import HeldDoor, Load, World
 
 GAP = 6  # [pixels] between pictures
+NAME_LETTERS = 24  # that fit under a picture
 
 
 def moments(solution: TaskSolution) -> list[tuple[str, World]]:
@@ -63,11 +67,12 @@ def draw_task(
     columns: int = 3,
     viewpoint: Viewpoint | None = None,
 ) -> list[str]:
-    """Write a PNG with a picture of the start and of the end of each planned phase, row by row; their names.
+    """Write a PNG with a named picture of the start and of the end of each planned phase, row by row; their names.
 
     Parameters
     ----------
-    size: width and height of one picture [pixels].
+    size: width and height of one picture [pixels], without the name below it.
+    viewpoint: of all pictures; None for one from which all of them are seen well.
 
     Raises
     ------
@@ -75,15 +80,24 @@ def draw_task(
     """
     planned = {phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase)}
     chosen = [(name, world) for name, world in moments(solution) if name in planned or name == "start"]
-    rows = -(-len(chosen) // columns)
-    width, height = size
+    viewpoint = viewpoint or _viewpoint([world for _, world in chosen], size)
+    panels = []
+    for k, (name, world) in enumerate(chosen):
+        picture = still_image(shown(world), world.q, size, viewpoint)
+        panels.append(
+            np.concatenate([picture, Strip([Label(f"{k + 1}  {name}")], size[0], NAME_LETTERS).image()])
+        )
+    height, width = panels[0].shape[:2]
+    rows = -(-len(panels) // columns)
     sheet = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
-    for k, (_, world) in enumerate(chosen):
+    for k, panel in enumerate(panels):
         top, left = (k // columns) * (height + GAP), (k % columns) * (width + GAP)
-        image = still_image(shown(world), world.q, size, viewpoint or VIEWPOINT)
-        sheet[top : top + height, left : left + width] = image
+        sheet[top : top + height, left : left + width] = panel
     write_png(Path(path), sheet)
     return [name for name, _ in chosen]
 
 
-VIEWPOINT = Viewpoint(eye=(-1.35, -1.75, 1.55), target=(0.30, -0.20, 0.50), height_angle=0.72)
+def _viewpoint(worlds: list[World], size: tuple[int, int]) -> Viewpoint:
+    """One from which the arm is seen well in each of the worlds."""
+    arms = [joined(robot_meshes(shown(world), world.q, ROBOT_COLOUR)) for world in worlds]
+    return clear_viewpoint(arms, scene_meshes(shown(worlds[-1]), HIDDEN), size)

@@ -6,10 +6,11 @@ from functools import partial
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.families import FAMILIES
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
 from experiments.suites.family_task import family_problem
-from experiments.suites.place_task import ENVIRONMENTS, UnsolvableProblem, place_problem
+from experiments.suites.place_task import ENVIRONMENTS, UnsolvableProblem, carried_can, place_problem
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,8 @@ class Suite:
     problems: Sequence[int]
     make: Callable[[int], PlanningProblem | UnsolvableProblem]
     summary: str
+    carried: tuple[Attachment, ...] = ()
+    """What the hand is shown with in pictures, where its problems do not model it."""
 
     def problem(self, index: int) -> PlanningProblem | UnsolvableProblem:
         """Problem `index`; InvalidInputError names the valid range."""
@@ -35,7 +38,11 @@ SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
         Suite(
-            "place-task", ENVIRONMENTS, place_problem, "carry a can to the shelf upright; can not modelled"
+            "place-task",
+            ENVIRONMENTS,
+            place_problem,
+            "carry a can to the shelf upright; can not modelled",
+            (carried_can(),),
         ),
         Suite(
             "place-task-with-can",

@@ -7,7 +7,11 @@ import pytest
 from matplotlib.image import imread
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.show.labels import Label, Strip
+from cvqmpt_lab.show.meshes import GOAL_COLOUR, ROBOT_COLOUR
+from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import draw_solution
+from experiments.suites.place_task import carried_can
 
 
 def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
@@ -20,8 +24,25 @@ def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
     assert not (np.subtract(*imread(tmp_path / "b.png").T[[0, 2]]) > 0.35).any()
 
 
+def test_what_the_hand_carries_is_drawn_where_the_problem_leaves_it_out(unsolved, tmp_path):
+    for name, carried in (("without", ()), ("with", (carried_can(),))):
+        draw_solution(unsolved, tmp_path / f"{name}.png", (180, 120), viewpoint=Viewpoint(), carried=carried)
+    red = [
+        np.sum(imread(tmp_path / f"{name}.png")[..., 0] - imread(tmp_path / f"{name}.png")[..., 1] > 0.3)
+        for name in ("without", "with")
+    ]
+    assert red[0] == 0 and red[1] > 15
+
+
+def test_a_wide_picture_has_its_legend_below(unsolved, tmp_path):
+    draw_solution(unsolved, tmp_path / "a.png", (420, 280), viewpoint=Viewpoint())
+    strip = Strip([Label("start", ROBOT_COLOUR), Label("goal", GOAL_COLOUR), Label("no path found")], 420)
+    below = imread(tmp_path / "a.png")[-strip.height :, :, :3]
+    np.testing.assert_allclose(below, strip.image() / 255, atol=1e-6)
+
+
 def test_unwritable_picture_is_refused(unsolved, tmp_path):
-    with pytest.raises(InvalidInputError, match="cannot write picture"):
+    with pytest.raises(InvalidInputError, match=r"cannot write .*missing"):
         draw_solution(unsolved, tmp_path / "missing" / "a.png", (3, 2))
     with pytest.raises(InvalidInputError, match=r"size \(0, 5\)"):
         draw_solution(unsolved, tmp_path / "a.png", (0, 5))

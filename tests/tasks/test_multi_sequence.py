@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from PIL import Image
 from rerun.chunk import RrdReader
 
 from cli.main import main
@@ -22,7 +23,9 @@ from cvqmpt_lab.robot.loading import FINGER_OPENING
 from cvqmpt_lab.scene.scene import SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.show import task_recording as task_viewer
-from cvqmpt_lab.show.task_still import draw_task
+from cvqmpt_lab.show.labels import Label, Strip
+from cvqmpt_lab.show.task_film import film_task
+from cvqmpt_lab.show.task_still import NAME_LETTERS, draw_task
 from cvqmpt_lab.tasks.solve_task import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
@@ -315,7 +318,11 @@ def test_pictures_and_recording(solution, tmp_path, monkeypatch):
     monkeypatch.setattr(task_viewer, "PERIOD", 1.0)
     names = draw_task(solution, tmp_path / "task.png", size=(60, 40))
     assert names == ["start", *PHASES]
-    assert imread(tmp_path / "task.png").shape[:2] == (2 * 40 + 6, 3 * 60 + 2 * 6)
+    height = 40 + Strip([Label("1  start")], 60, NAME_LETTERS).height
+    assert imread(tmp_path / "task.png").shape[:2] == (2 * height + 6, 3 * 60 + 2 * 6)
+    film_task(solution, tmp_path / "task.gif", size=(60, 40))
+    with Image.open(tmp_path / "task.gif") as film:
+        assert film.n_frames > len(PHASES)
     task_viewer.log_task(solution, tmp_path / "task.rrd")
     moments: dict[str, int] = {}
     for chunk in RrdReader(tmp_path / "task.rrd").stream():

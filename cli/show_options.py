@@ -1,0 +1,96 @@
+"""Pictures, films and recordings on the command line: --picture, --save and --view."""
+
+import argparse
+from pathlib import Path
+
+from cli.options import writable_file
+from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.tasks.solve_task import TaskSolution
+
+RECORDING = ".rrd"
+FILMS = (".gif", ".mp4")
+
+
+def add_show(parser: argparse.ArgumentParser) -> None:
+    """--picture, --save and --view."""
+    shown = parser.add_argument_group("what to look at")
+    shown.add_argument(
+        "--picture",
+        type=Path,
+        metavar="P.png",
+        help="a still picture: start, goal and the way between; of a task, the end of each phase",
+    )
+    shown.add_argument(
+        "--save",
+        type=Path,
+        metavar="RUN.rrd|gif|mp4",
+        help="a rerun recording, or a film (mp4 where ffmpeg is installed)",
+    )
+    shown.add_argument("--view", action="store_true", help="open the rerun viewer; needs a display")
+
+
+def check_show(args: argparse.Namespace) -> None:
+    """Refuse before planning what would fail after it."""
+    for path in (args.save, args.picture):
+        if path is not None:
+            writable_file(path)
+    if args.save is not None and args.save.suffix != RECORDING:
+        if args.save.suffix not in FILMS:
+            raise UnknownChoiceError(f"--save {args.save}: suffix", args.save.suffix, (RECORDING, *FILMS))
+        from cvqmpt_lab.show.film import check_film
+
+        check_film(args.save)
+    if args.view:
+        from cvqmpt_lab.show.viewer import check_viewer
+
+        check_viewer()
+
+
+def show_solution(
+    args: argparse.Namespace, solution: Solution, carried: tuple[Attachment, ...] = ()
+) -> list[str]:
+    """Write and open what was asked for; a line for each.
+
+    carried: what the hand is shown with where the problem does not model it.
+    """
+    lines = []
+    if args.picture:
+        from cvqmpt_lab.show.still import draw_solution
+
+        draw_solution(solution, args.picture, carried=carried)
+        lines.append(f"picture written to {args.picture}")
+    if args.save and args.save.suffix in FILMS:
+        from cvqmpt_lab.show.film import film_solution
+
+        film_solution(solution, args.save, carried=carried)
+        lines.append(f"film written to {args.save}")
+    recording = args.save if args.save and args.save.suffix == RECORDING else None
+    if recording or args.view:
+        from cvqmpt_lab.show.recording import log_solution
+
+        log_solution(solution, save=recording, view=args.view, carried=carried)
+        if recording:
+            lines.append(f"recording written to {recording}; open it with: rerun {recording}")
+    return lines
+
+
+def show_task(args: argparse.Namespace, solution: TaskSolution) -> list[str]:
+    """Write what was asked for; a line for each."""
+    lines = []
+    if args.save and args.save.suffix in FILMS:
+        from cvqmpt_lab.show.task_film import film_task
+
+        film_task(solution, args.save)
+        lines.append(f"film written to {args.save}")
+    elif args.save:
+        from cvqmpt_lab.show.task_recording import log_task
+
+        log_task(solution, args.save)
+        lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
+    if args.picture:
+        from cvqmpt_lab.show.task_still import draw_task
+
+        lines.append(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
+    return lines

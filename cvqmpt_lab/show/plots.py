@@ -1,0 +1,80 @@
+"""What is plotted along a path: each bounded part of the constraint against its bounds, clearance, joints."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.constraints.report import ROWS, UNITS, displacements
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.show.meshes import Colour
+
+LEGEND_ROOM = 0.45  # of a plot's height, kept free above its curves
+BOUND_COLOUR: Colour = (0.80, 0.20, 0.20)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One line of a plot."""
+
+    values: np.ndarray
+    """(m,), one for each state of the path."""
+    colour: Colour | None = None
+    """None for one that the viewer chooses."""
+    width: float = 2.0
+    """[pixels]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """Curves over the states of a path."""
+
+    name: str
+    """Of its entity, without spaces."""
+    title: str
+    """For people, with the unit."""
+    curves: Mapping[str, Curve]
+    """By the name that the legend gives them."""
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Of the vertical axis: all curves, and above them room for the legend."""
+        values = np.concatenate([curve.values for curve in self.curves.values()])
+        values = values[np.isfinite(values)]
+        low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+        height = max(high - low, 1e-3)
+        return low - 0.05 * height, high + LEGEND_ROOM * height
+
+
+def plots_along(problem: PlanningProblem, states: np.ndarray) -> tuple[Plot, ...]:
+    """The plots of a path's states (m, n)."""
+    joints = {name: Curve(states[:, j]) for j, name in enumerate(problem.robot.joint_names)}
+    found = [*bound_plots(problem, states), clearance_plot(problem, states)]
+    return (*found, Plot("joints", "joints [rad] or [m]", joints))
+
+
+def bound_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
+    """For every bounded entry of every region, the displacement between its bounds."""
+    found = []
+    for k, region in enumerate(problem.constraint):
+        x = displacements(problem.robot, region, states)
+        for row in map(int, region.bounded_rows):
+            curves = {ROWS[row]: Curve(x[:, row], width=2.5)}
+            for label, bound in zip(("lower bound", "upper bound"), region.Bw[row], strict=True):
+                if np.isfinite(bound):
+                    curves[label] = Curve(np.full(len(states), float(bound)), BOUND_COLOUR, 1.0)
+            number = f" of region {k}" if len(problem.constraint) > 1 else ""
+            title = f"{ROWS[row]}{number} against its bounds [{UNITS[row]}]"
+            found.append(Plot(f"bounds/{k}_{ROWS[row].replace(' ', '_')}", title, curves))
+    return found
+
+
+def clearance_plot(problem: PlanningProblem, states: np.ndarray) -> Plot:
+    """Smallest distance between any two pieces that must not touch; none is drawn where there is no such pair."""
+    checker = problem.collision_checker()
+    distances = np.array([1e3 * checker.clearance(q) for q in states])
+    curves = {
+        "clearance": Curve(distances, width=2.5),
+        "contact": Curve(np.zeros(len(states)), BOUND_COLOUR, 1.0),
+    }
+    return Plot("clearance", "clearance [mm]", curves)

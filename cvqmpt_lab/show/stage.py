@@ -1,0 +1,150 @@
+"""Light, shadow and outlines: a still scene, drawn once, and what moves in it, drawn as often as wanted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.show.meshes import Mesh, colour_of, joined
+from cvqmpt_lab.show.rasteriser import Viewpoint, rasterise
+
+SKY, STEEP, SUN = 0.58, 0.1, 0.46  # light from everywhere, from above, and from the sun
+SUN_DISTANCE = 40.0  # [m] of the viewpoint whose picture is the shadow map
+SHADOW_REACH = 2.6  # [m] around a mesh's middle; what lies farther casts no shadow
+SHADOW_PIXELS = 1536  # side of the largest shadow map
+SHADOW_BIAS = 0.025  # [m] a surface shadows only what lies this far behind it
+OUTLINE = 0.55  # what is left of the light on outlines
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What a viewpoint sees."""
+
+    image: np.ndarray
+    """(rows, columns, 3), each channel in [0, 1]."""
+    depth: np.ndarray
+    """(rows, columns) [m], inf where nothing solid is."""
+
+
+class Shadow:
+    """What a mesh leaves of the sunlight behind it."""
+
+    def __init__(self, mesh: Mesh, sun: np.ndarray, side: int) -> None:
+        """sun: direction (3,) towards it; side: of the shadow map [pixels]."""
+        low, high = mesh.corners.min(axis=(0, 1)), mesh.corners.max(axis=(0, 1))
+        middle, reach = 0.5 * (low + high), min(SHADOW_REACH, 0.5 * float(np.linalg.norm(high - low)))
+        angle = 2.0 * float(np.arctan(reach / SUN_DISTANCE))
+        self._middle, self._reach = middle, reach
+        self._from_sun = Viewpoint(tuple(middle + SUN_DISTANCE * sun), tuple(middle), angle)
+        self._shape = (side, side)
+        view = rasterise(mesh, self._from_sun, self._shape)
+        self._blocked = np.full(self._shape, np.inf)
+        self._blocked[view.rows, view.columns] = view.depth + SHADOW_BIAS
+
+    def may_reach(self, across: np.ndarray) -> np.ndarray:
+        """Which points may be in the shadow; across: their coordinates (k, 2) [m] along `sun_axes`."""
+        middle = self._from_sun.axes[:2] @ self._middle
+        return (np.abs(across - middle) < 1.2 * self._reach).all(axis=1)
+
+    def lit(self, points: np.ndarray) -> np.ndarray:
+        """Share (k,) of the sunlight that reaches points (k, 3) [m]."""
+        column, row, depth = np.moveaxis(self._from_sun.screen(points, self._shape), -1, 0)
+        total = np.zeros(len(points))
+        for i, j in np.ndindex(3, 3):
+            at = tuple(
+                np.clip((a + b - 0.5).astype(int), 0, self._shape[0] - 1) for a, b in ((row, i), (column, j))
+            )
+            total += depth < self._blocked[at]
+        return total / 9.0
+
+
+class Stage:
+    """A scene that stands still, seen from one viewpoint."""
+
+    def __init__(
+        self, still: Sequence[Mesh], ground: float | None, viewpoint: Viewpoint, shape: tuple[int, int]
+    ) -> None:
+        """still: what the scene consists of; ground: height of a floor [m] or None; shape: (rows, columns)."""
+        self.viewpoint, self.shape = viewpoint, shape
+        self._side = min(SHADOW_PIXELS, 2 * max(shape))
+        self._shadows: list[Shadow] = []
+        self._colours, self._points = np.ones((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
+        self._sky, self._sun = np.ones(shape, np.float32), np.zeros(shape, np.float32)
+        self._white = np.zeros(shape, np.float32)
+        self._depth, self._piece = np.full(shape, np.inf), np.full(shape, -1)
+        if still:
+            mesh = joined(still)
+            self._shadows.append(Shadow(mesh, viewpoint.sun, self._side))
+            view = rasterise(mesh, viewpoint, shape)
+            at = view.rows, view.columns
+            self._depth[at], self._piece[at] = view.depth, mesh.piece[view.face]
+            self._lay(at, view.depth, mesh.colours[view.face], view.normals)
+        if ground is not None:
+            self._lay_ground(ground)
+        self._sunny = np.nonzero(self._sun)
+        self._across = self._points[self._sunny] @ sun_axes(viewpoint).T.astype(np.float32)
+
+    def picture(self, moving: Sequence[Mesh]) -> Picture:
+        """The scene with what moves in it, somewhere."""
+        mesh = joined(moving)
+        shadow = Shadow(mesh, self.viewpoint.sun, self._side // 2)
+        sun, piece, depth = self._sun.copy(), self._piece.copy(), self._depth.copy()
+        near = shadow.may_reach(self._across)
+        below = self._sunny[0][near], self._sunny[1][near]
+        sun[below] *= shadow.lit(self._points[below])
+        image = self._colours * (self._sky + sun)[..., None] + self._white[..., None]
+        view = rasterise(mesh, self.viewpoint, self.shape)
+        nearer = view.depth < depth[view.rows, view.columns]
+        at = view.rows[nearer], view.columns[nearer]
+        depth[at], piece[at] = view.depth[nearer], mesh.piece[view.face[nearer]] + 1 + self._piece.max()
+        points = self.viewpoint.eye + depth[at][:, None] * self.viewpoint.rays(at[0], at[1], self.shape)
+        lit = np.minimum(self._lit(points), shadow.lit(points))
+        sky, sunlight = light(view.normals[nearer], self.viewpoint)
+        image[at] = mesh.colours[view.face[nearer]] * (sky + lit * sunlight)[:, None]
+        image[_outlines(piece)] *= OUTLINE
+        return Picture(image, depth)
+
+    def _lit(self, points: np.ndarray) -> np.ndarray:
+        """Share (k,) of the sunlight that the scene lets through to points (k, 3)."""
+        return self._shadows[0].lit(points) if self._shadows else np.ones(len(points))
+
+    def _lay(
+        self, at: tuple[np.ndarray, ...], depth: np.ndarray, colours: np.ndarray, normals: np.ndarray
+    ) -> None:
+        """Put a surface of given colours (k, 3) and normals (k, 3) at pixels (rows, columns)."""
+        points = self.viewpoint.eye + depth[:, None] * self.viewpoint.rays(at[0], at[1], self.shape)
+        sky, sunlight = light(normals, self.viewpoint)
+        self._points[at], self._colours[at] = points, colours
+        self._sky[at], self._sun[at] = sky, sunlight * self._lit(points)
+
+    def _lay_ground(self, height: float) -> None:
+        """Put the plane z = height [m] at empty pixels; it fades into white with distance."""
+        rows, columns = np.nonzero(self._piece < 0)
+        rays = self.viewpoint.rays(rows, columns, self.shape)
+        depth = (height - self.viewpoint.eye[2]) / np.where(rays[:, 2] == 0.0, np.inf, rays[:, 2])
+        away = np.linalg.norm(self.viewpoint.eye + depth[:, None] * rays - self.viewpoint.target, axis=1)
+        share = np.clip(1.6 - 0.4 * away, 0.0, 1.0) * (depth > 0.0)
+        seen = share > 0.0
+        at, share = (rows[seen], columns[seen]), share[seen]
+        upwards = np.tile([0.0, 0.0, 1.0], (len(share), 1))
+        self._lay(at, depth[seen], np.tile(colour_of("floor"), (len(share), 1)), upwards)
+        self._colours[at] *= share[:, None]
+        self._white[at] = 1.0 - share
+
+
+def sun_axes(viewpoint: Viewpoint) -> np.ndarray:
+    """Two directions (2, 3) across the sunlight."""
+    return Viewpoint(tuple(viewpoint.sun), (0.0, 0.0, 0.0)).axes[:2]
+
+
+def light(normals: np.ndarray, viewpoint: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
+    """Light (k,) on surfaces with normals (k, 3): from the sky, and from the sun where nothing shadows it."""
+    return SKY + STEEP * normals[:, 2], SUN * np.maximum(normals @ viewpoint.sun, 0.0)
+
+
+def _outlines(piece: np.ndarray) -> np.ndarray:
+    """Which pixels (rows, columns) belong to another piece than the one to the left or above."""
+    edge = np.zeros(piece.shape, dtype=bool)
+    edge[:, 1:] |= piece[:, 1:] != piece[:, :-1]
+    edge[1:] |= piece[1:] != piece[:-1]
+    return edge

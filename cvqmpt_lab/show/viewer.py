@@ -1,0 +1,48 @@
+"""The rerun viewer, as a program of its own that listens on the loopback address only."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError
+
+LOOPBACK = "127.0.0.1"
+SETTLE_SECONDS = 2.0  # a viewer that cannot open its window gives up sooner
+
+
+def check_viewer() -> None:
+    """InvalidInputError when no window can be opened here."""
+    windows = not sys.platform.startswith("linux")
+    if not (windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InvalidInputError(
+            "no display to open the rerun viewer on: save a recording here (RUN.rrd) and open it elsewhere with: "
+            "rerun RUN.rrd"
+        )
+
+
+def open_viewer(recording: Path) -> None:
+    """Open a .rrd file in the viewer that came with rerun-sdk; it goes on after this program.
+
+    Raises
+    ------
+    InvalidInputError: no display, no viewer, or one that gives up at once.
+    """
+    check_viewer()
+    program = shutil.which("rerun", path=str(Path(sys.executable).parent)) or shutil.which("rerun")
+    if program is None:
+        raise InvalidInputError("cannot open the rerun viewer: no program 'rerun'; install rerun-sdk")
+    command = [program, "--bind", LOOPBACK, "--port", "auto", str(recording)]
+    viewer = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
+    )
+    try:
+        _, said = viewer.communicate(timeout=SETTLE_SECONDS)
+    except subprocess.TimeoutExpired:
+        return
+    if viewer.returncode != 0:
+        reason = " ".join(said.split())[-200:] or f"exit code {viewer.returncode}"
+        raise InvalidInputError(
+            f"cannot open the rerun viewer ({reason}): save a file (RUN.rrd) and open it elsewhere"
+        )
