@@ -10,7 +10,8 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 
 COMMANDS = {
     "plan": "plan one problem and print a short report",
-    "reproduce": "run a suite of the paper and write its rows and tables, or make a figure of it",
+    "reproduce": "run a suite of problems or tasks and write its rows and tables",
+    "figure": "make a figure of the paper, with its numbers",
     "table": "render the tables of a results directory",
     "problems": "list or export the problems of a suite",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",

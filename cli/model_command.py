@@ -9,7 +9,7 @@ from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import load_any, save_checkpoint
 from cvqmpt_lab.models.published.checkpoint_import import import_published
-from cvqmpt_lab.models.weights_folder import checkpoint_sha256, read_description
+from cvqmpt_lab.models.weights_folder import read_description, weights_digest
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -84,7 +84,7 @@ def _info(folder: Path) -> dict[str, Any]:
     }
     return {
         "folder": str(folder),
-        "sha256": checkpoint_sha256(folder),
+        "sha256": weights_digest(folder),
         "architecture": checkpoint.architecture,
         "robot": to_plain(checkpoint.robot, complete=True),
         "parts": parts,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cli.options import add_budget, add_model, budget, writable_file
 from cli.plan_report import as_json, report
+from cli.plan_task import run_task
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
@@ -17,7 +18,7 @@ from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Path as JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.suites.place_task import UnsolvableProblem
+from cvqmpt_lab.tasks.task import Task
 from experiments.suites.table import SUITES, suite_named
 from experiments.warmup import compile_kernels
 
@@ -32,14 +33,11 @@ EXAMPLES = (
     "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
-MULTI_SEQUENCE = "multi-sequence"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Problem, planner, budget, and where to show it."""
-    parser.add_argument(
-        "suite", nargs="?", help=f"suite of the problem: {', '.join((*SUITES, MULTI_SEQUENCE))}"
-    )
+    parser.add_argument("suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}")
     parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
     parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
     parser.add_argument(
@@ -96,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
     check_show(args)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
-    if args.task_file is not None or args.suite == MULTI_SEQUENCE:
-        return _plan_task(args)
+    problem = _asked(args)
+    if isinstance(problem, Task):
+        return run_task(args, problem)
     method = planner_named(args.planner, args.model)
-    problem = _problem(args)
     _check_timing(args, problem)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     if args.verbose:
@@ -118,31 +116,19 @@ def run(args: argparse.Namespace) -> int:
     return 0 if solution.solved else 1
 
 
-def _plan_task(args: argparse.Namespace) -> int:
-    """Plan a task of several phases."""
-    from cli.task_options import run_one_task
-
-    if args.task_file is not None and args.suite is not None:
-        raise InvalidInputError(f"give --task-file or {args.suite}, one of the two")
-    given = ("problem_file", "urdf", "save_path", "trajectory", "view")
-    wrong = next((name for name in given if getattr(args, name)), None)
-    if wrong is not None:
-        raise InvalidInputError(f"--{wrong.replace('_', '-')} does not go with a task; leave it out")
-    return run_one_task(args)
-
-
-def _problem(args: argparse.Namespace) -> PlanningProblem:
-    if (args.suite is None) == (args.problem_file is None):
-        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
+def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
+    """The problem or task of the command line."""
+    given = [name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None]
+    if len(given) != 1:
+        raise InvalidInputError(
+            f"name a suite ({', '.join(SUITES)}) or give --problem-file or --task-file, one of the three"
+        )
     robot = _robot_source(args)
     if args.problem_file is not None:
         return PlanningProblem.load(args.problem_file, robot)
     if robot:
-        raise InvalidInputError("--urdf goes with --problem-file: the problems of a suite are for its robot")
-    problem = suite_named(args.suite).problem(args.problem)
-    if isinstance(problem, UnsolvableProblem):
-        raise InvalidInputError(f"problem {args.problem} of {args.suite} has no solution: {problem.reason}")
-    return problem
+        raise InvalidInputError("--urdf goes with --problem-file: other problems are for their own robot")
+    return Task.load(args.task_file) if args.task_file else suite_named(args.suite).solvable(args.problem)
 
 
 def _robot_source(args: argparse.Namespace) -> dict | None:

@@ -1,11 +1,13 @@
-"""`cvqmpt problems`: list a suite's problems, or write them as json in the schema of `plan --problem-file`."""
+"""`cvqmpt problems`: list a suite's problems, or write them as json for `plan --problem-file` or `--task-file`."""
 
 import argparse
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.table import SUITES, suite_named
 
@@ -33,30 +35,19 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "export":
         if args.out is None:
             raise InvalidInputError("export needs --out DIR")
-        try:
-            args.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InvalidInputError(
-                f"cannot make folder {args.out}: {error.strerror}; choose another --out"
-            ) from error
+        make_folder(args.out)
     bar = ProgressBar(f"{args.action} {suite.name}")
     unsolvable = 0
     for done, index in enumerate(indices, start=1):
-        problem = suite.problem(index)
+        problem = suite.item(index)
         if isinstance(problem, UnsolvableProblem):
             unsolvable += 1
             print(f"{index}: unsolvable, {problem.reason}")
         elif args.action == "list":
             print(f"{index}: start {' '.join(f'{x:.3f}' for x in problem.start)}")
         else:
-            _export(with_sampled_goals(problem)[0], args.out / f"{suite.name}-{index:03d}.json")
+            whole = problem if isinstance(problem, Task) else with_sampled_goals(problem)[0]
+            whole.save(args.out / f"{suite.name}-{index:03d}.json")
             bar(done, len(indices))
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")
     return 0
-
-
-def _export(problem, path: Path) -> None:
-    try:
-        problem.save(path)
-    except OSError as error:
-        raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose another --out") from error

@@ -16,11 +16,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Render and print the markdown table."""
-    written = render_directory(args.directory)
-    for path in written:
-        if path.suffix == ".md":
-            print(path.read_text())
-    for path in written:
-        print(f"wrote {path}")
+    """Render the tables and print the short one."""
+    show_tables(args.directory)
     return 0
+
+
+def show_tables(directory: Path) -> None:
+    """Render a directory, print a line a planner, and say where the rest lies."""
+    written = render_directory(directory)
+    print("\n".join(written.brief))
+    print(f"intervals, work, failures and notes: {written.paths[0]}")
+    print(f"also: {', '.join(path.name for path in (*written.paths[1:], directory / 'runs.csv'))}")

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0 or args.workers < 0:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
     command = ["cvqmpt", *sys.argv[1:]]
-    origin = provenance(command, {}, [args.seed])
+    origin = provenance(command, [args.seed])
     request = Request(
         stage=args.stage,
         profile=profile,

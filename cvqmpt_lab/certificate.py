@@ -5,7 +5,9 @@ failure, whatever the planner says.
 """
 
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,28 +25,49 @@ END_TOLERANCE = 1e-6  # [rad] at start and goal
 CLEARANCE_STATES = 64  # distances are measured at this many states, evenly spread
 
 
+class FaultKind(StrEnum):
+    """What can be wrong with a path."""
+
+    SHAPE = "shape"
+    START = "start"
+    GOAL = "goal"
+    STEP = "step"
+    LIMITS = "limits"
+    MANIFOLD = "manifold"
+    COLLISION = "collision"
+
+
+class Fault(NamedTuple):
+    """One thing that is wrong with a path, and the sentence that says so."""
+
+    kind: FaultKind
+    text: str
+
+
 @dataclass(frozen=True)
 class Certificate:
-    """Findings on one path; valid when there is no reason against it.
+    """Findings on one path; valid when there is no fault."""
 
-    Attributes
-    ----------
-    reasons: what is wrong, empty when valid.
-    max_violation_rad, max_violation_m: largest distance outside the constraint's bounds.
-    min_clearance_m: smallest distance found, at up to CLEARANCE_STATES states (nan when not asked for).
-    states_checked: configurations looked at.
-    """
-
-    reasons: tuple[str, ...]
+    faults: tuple[Fault, ...]
+    """What is wrong."""
     max_violation_rad: float
+    """Largest turn outside the constraint's bounds [rad]."""
     max_violation_m: float
+    """Largest shift outside them [m]."""
     min_clearance_m: float
+    """Smallest distance found, at up to CLEARANCE_STATES states [m]; nan when not asked for."""
     states_checked: int
+    """Configurations looked at."""
 
     @property
     def valid(self) -> bool:
         """Whether the path may be counted."""
-        return not self.reasons
+        return not self.faults
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The faults in words."""
+        return tuple(fault.text for fault in self.faults)
 
 
 def certify(
@@ -58,20 +81,20 @@ def certify(
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
     if unusable:
-        return Certificate((unusable,), np.nan, np.nan, np.nan, 0)
+        return Certificate((Fault(FaultKind.SHAPE, unusable),), np.nan, np.nan, np.nan, 0)
     states = _resampled(path.states, resolution)
     radians, metres = _violations(problem.robot, problem.constraint, states)
-    reasons = [*_end_reasons(problem, path), *_motion_reasons(problem, path, states)]
+    faults = [*_end_faults(problem, path), *_motion_faults(problem, path, states)]
     if max(radians, metres) > TOLERANCE:
-        reasons.append(f"off the manifold by {radians:.2g} rad, {metres:.2g} m")
+        faults.append(Fault(FaultKind.MANIFOLD, f"off the manifold by {radians:.2g} rad, {metres:.2g} m"))
     colliding = next((q for q in states if checker.in_collision(q)), None)
     if colliding is not None:
-        reasons.append(f"in collision: {checker.colliding_pair(colliding)}")
+        faults.append(Fault(FaultKind.COLLISION, f"in collision: {checker.colliding_pair(colliding)}"))
     closest = np.nan
     if clearance:
         picks = np.unique(np.linspace(0, len(states) - 1, CLEARANCE_STATES).astype(int))
         closest = min(checker.clearance(states[i]) for i in picks)
-    return Certificate(tuple(reasons), radians, metres, closest, len(states))
+    return Certificate(tuple(faults), radians, metres, closest, len(states))
 
 
 def _unusable(problem: PlanningProblem, states: np.ndarray) -> str | None:
@@ -104,24 +127,24 @@ def _violations(
     return radians, metres
 
 
-def _end_reasons(problem: PlanningProblem, path: Path) -> list[str]:
-    reasons = []
+def _end_faults(problem: PlanningProblem, path: Path) -> list[Fault]:
+    faults = []
     if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE:
-        reasons.append("does not begin at the start")
+        faults.append(Fault(FaultKind.START, "does not begin at the start"))
     end = path.states[-1]
     at_goal = len(problem.goals) > 0 and np.abs(problem.goals - end).max(axis=1).min() <= END_TOLERANCE
     if not at_goal and problem.goal_region is not None:
         at_goal = max(_violations(problem.robot, (problem.goal_region,), end[None])) <= TOLERANCE
-    return reasons if at_goal else [*reasons, "does not end at a goal"]
+    return faults if at_goal else [*faults, Fault(FaultKind.GOAL, "does not end at a goal")]
 
 
-def _motion_reasons(problem: PlanningProblem, path: Path, states: np.ndarray) -> list[str]:
-    reasons = []
+def _motion_faults(problem: PlanningProblem, path: Path, states: np.ndarray) -> list[Fault]:
+    faults = []
     largest = np.linalg.norm(np.diff(path.states, axis=0), axis=1).max(initial=0.0)
     if largest > LARGEST_STEP:
-        reasons.append(f"a step of {largest:.3f} rad")
+        faults.append(Fault(FaultKind.STEP, f"a step of {largest:.3f} rad"))
     for q in (states.min(axis=0), states.max(axis=0)):
         outside = problem.robot.joint_outside_limits(q)
         if outside is not None:
-            reasons.append(f"{outside[0]} leaves its limits by {outside[1]:.2g}")
-    return reasons
+            faults.append(Fault(FaultKind.LIMITS, f"{outside[0]} leaves its limits by {outside[1]:.2g}"))
+    return faults

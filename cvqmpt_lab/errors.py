@@ -48,5 +48,5 @@ class InvalidProblemError(InvalidInputError):
     """A planning problem whose start, goals or constraint contradict each other."""
 
 
-class RunStoreError(CvqmptError):
+class RunStoreError(InvalidInputError):
     """A results directory that cannot be read, written or continued."""

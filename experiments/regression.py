@@ -12,21 +12,22 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.files import read_json_object, write_text
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.result import Budget, PlanStatus
+from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import provenance, write_text_atomic
-from experiments.rows import result_row
+from cvqmpt_lab.results.provenance import provenance
+from experiments.rows import Run, result_row
 from experiments.suites.place_task import place_problem
-from paper_tables.render import PUBLISHED
+from paper_tables.paper_numbers import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
 SCHEMA = "cvqmpt-expectations/1"
 SUITE = "place-task"
 COUNTS = ("n_iterations", "n_projections", "n_newton_iterations", "n_state_checks", "vertices")
-COLUMNS = ("status", *COUNTS, "path_length_rad", "path_sha256")
+COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256")
 BOUNDED_COUNTS = ("n_projections", "n_state_checks")  # the other counts have no bounds worth stating
 COUNT_FACTOR = 5.0  # between the geometric means over a planner's runs
 LENGTH_SHARE = 0.5  # between the mean lengths over a planner's runs
@@ -83,13 +84,13 @@ class Expectations:
         """Write the json file at once or not at all."""
         rows = [{**asdict(item.case), "expected": dict(item.values)} for item in self.outcomes]
         record = {"schema": SCHEMA, "made_with": dict(self.made_with), "runs": rows}
-        write_text_atomic(path, json.dumps(record, indent=1) + "\n")
+        write_text(path, json.dumps(record, indent=1) + "\n")
 
     @staticmethod
     def load(path: Path) -> "Expectations":
         """Read what `save` wrote; InvalidInputError names the file and the cure."""
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = read_json_object(path, "expectations")
             if record["schema"] != SCHEMA:
                 raise ValueError(f"schema {record['schema']!r}, not {SCHEMA!r}")
             outcomes = []
@@ -97,11 +98,10 @@ class Expectations:
                 values = row.pop("expected")
                 outcomes.append(Outcome(Case(**row), {column: values[column] for column in COLUMNS}))
             return Expectations(dict(record["made_with"]), tuple(outcomes))
-        except OSError as error:
-            reason = error.strerror or str(error)
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            reason = f"not a file of expectations ({error})"
-        raise InvalidInputError(f"cannot read {path}: {reason}; write it with: cvqmpt check-tables --update")
+        except (CvqmptError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InvalidInputError(
+                f"cannot use {path} ({error}); write it with: cvqmpt check-tables --update"
+            ) from error
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Comparison:
 
 def made_with() -> dict[str, str | None]:
     """What must be equal for runs to repeat bit for bit: processor, system, Python, versions."""
-    record = provenance([], {}, [])
+    record = provenance()
     return {
         "system": platform.system(),
         "machine": platform.machine(),
@@ -133,14 +133,11 @@ def _problem(environment: int) -> PlanningProblem:
 
 def run_case(case: Case) -> Outcome:
     """Plan, simplify and certify one case."""
+    run = Run(SUITE, case.problem, case.planner, case.seed, Budget(iterations=case.iterations))
     solution = solve(
-        _problem(case.problem),
-        planner_named(case.planner),
-        Budget(iterations=case.iterations),
-        case.seed,
-        clearance=False,
+        _problem(case.problem), planner_named(case.planner), run.budget, case.seed, clearance=False
     )
-    row = result_row(SUITE, case.planner, case.seed, "compiled", solution, goal_seconds=0.0)
+    row = result_row(run, solution, goal_seconds=0.0)
     return Outcome(case, {column: getattr(row, column) for column in COLUMNS})
 
 
@@ -173,7 +170,7 @@ def compare(
         return Comparison(mode, (*differences, *_unequal(pairs)))
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
-        f"by bounds, not bit for bit, since {changed}: status equal; per planner counts within a factor "
+        f"by bounds, not bit for bit, since {changed}: reasons equal; per planner counts within a factor "
         f"{COUNT_FACTOR:g} and lengths within {LENGTH_SHARE:.0%}"
     )
     return Comparison(mode, (*differences, *_out_of_bounds(pairs)))
@@ -190,12 +187,12 @@ def _unequal(pairs: Sequence[tuple[Outcome, Outcome]], columns: Sequence[str] = 
 
 
 def _out_of_bounds(pairs: Sequence[tuple[Outcome, Outcome]]) -> list[str]:
-    """Unequal statuses, and planners whose typical count or length is outside the stated bounds."""
-    found = _unequal(pairs, ("status",))
+    """Unequal reasons of failure, and planners whose typical count or length is outside the stated bounds."""
+    found = _unequal(pairs, ("fail_reason",))
     solved = [
         (old.values, new.values, new.case.planner)
         for old, new in pairs
-        if old.values["status"] == new.values["status"] == PlanStatus.SOLVED
+        if old.values["fail_reason"] is new.values["fail_reason"] is None
     ]
     for planner in dict.fromkeys(name for *_, name in solved):
         both = [(old, new) for old, new, name in solved if name == planner]

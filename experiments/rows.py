@@ -1,43 +1,93 @@
-"""From a solution to a result row: what is measured of one run."""
+"""From a run to its result rows: one of a problem, one for each planned phase of a task."""
 
 import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.planning.result import Path, PlanStatus
-from cvqmpt_lab.results.store import ResultRow
+from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.pipeline import Solution, solve
+from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.phase_name import phase_problem
+from cvqmpt_lab.results.row import FailReason, ResultRow, RunKey, one_line
+from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
+from cvqmpt_lab.tasks.task import PlannedPhase, Task
+from experiments.suites.place_task import UnsolvableProblem
+
+Item = PlanningProblem | UnsolvableProblem | Task
+"""What a suite is made of."""
+
+SUMMED = (
+    *("t_total_s", "t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s"),
+    *("n_projections", "n_newton_iterations", "n_state_checks", "n_iterations", "vertices"),
+)
+"""Columns of a phase that count all of its attempts."""
 
 
-def path_hash(path: Path) -> str:
-    """sha256 of the states' bytes: equal for bit-for-bit equal paths."""
-    return hashlib.sha256(np.ascontiguousarray(path.states, dtype=np.float64).tobytes()).hexdigest()
+@dataclass(frozen=True)
+class Run:
+    """One planner on one item of a suite with one seed; the budget is that of one planning run."""
+
+    suite: str
+    item: int
+    planner: str
+    seed: int
+    budget: Budget
+    backend: str = "compiled"
+    model: str | None = None
+    """Weights, of planners that use any; see `Weights.model`."""
+
+    @property
+    def method(self) -> Method:
+        """The planner on its weights."""
+        method = planner_named(self.planner)
+        return method if self.model is None or method.weights is None else method.with_model(self.model)
+
+    @property
+    def key(self) -> RunKey:
+        """What its rows have in common."""
+        return RunKey(self.suite, str(self.item), self.planner, self.seed, self.backend)
+
+    def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
+        """A row of this run, solved unless there is a reason why not."""
+        key = self.key._replace(problem=problem)._asdict()
+        return ResultRow(**key, solved=reason is None, fail_reason=reason, detail=one_line(detail), **values)
 
 
-def result_row(
-    suite: str, planner: str, seed: int, backend: str, solution: Solution, goal_seconds: float
-) -> ResultRow:
-    """One row of runs.csv; goal_seconds is charged to the planner, undefined values stay empty.
+def rows_of(run: Run, item: Item, goal_seconds: float) -> list[ResultRow]:
+    """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner."""
+    if isinstance(item, UnsolvableProblem):
+        return failed_rows(run, item, FailReason.NO_START, item.reason)
+    if isinstance(item, Task):
+        return phase_rows(run, solve_task(item, run.method, run.budget, run.seed, backend=run.backend))
+    return [result_row(run, solve(item, run.method, run.budget, run.seed, backend=run.backend), goal_seconds)]
 
-    The total is the sum of its parts: goals, encoding, prediction, optimization, search and simplification.
-    """
+
+def failed_rows(run: Run, item: Item, reason: FailReason, detail: str) -> list[ResultRow]:
+    """Rows of an item that was not solved at all; later phases of a task were not reached."""
+    names = _phase_problems(item) if isinstance(item, Task) else [item.name]
+    return [
+        run.row(name, FailReason.NOT_REACHED if later else reason, detail) for later, name in enumerate(names)
+    ]
+
+
+def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
+    """The row of a solution; undefined values stay empty."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
     timings, search = plan.timings, plan.search_seconds
-    total = goal_seconds + timings.total + search + (shorter.seconds if shorter else 0.0)
-    reason = "; ".join(certificate.reasons) if certificate and certificate.reasons else plan.detail
-    status = plan.status if certificate is None or certificate.valid else "uncertified"
-    return ResultRow(
-        suite=suite,
-        problem=solution.problem.name,
-        planner=planner,
-        sampler_used=plan.sampler,
-        seed=seed,
-        backend=backend,
-        status=str(status),
-        fail_reason=None if solution.solved else reason or str(status),
-        solved=solution.solved,
+    reasons = certificate.reasons if certificate else ()
+    return run.row(
+        solution.problem.name,
+        _fail_reason(solution),
+        "; ".join(filter(None, (*reasons, plan.detail))),
+        sampler_used=one_line(plan.sampler),
+        fallback=one_line(plan.fallback),
         certified=certificate.valid if certificate else None,
-        t_total_s=total,
+        t_total_s=goal_seconds + timings.total + search + (shorter.seconds if shorter else 0.0),
         t_goals_s=goal_seconds,
         t_encode_s=timings.encode,
         t_predict_s=timings.predict,
@@ -49,14 +99,64 @@ def result_row(
         n_state_checks=plan.counters.state_checks,
         n_iterations=plan.counters.iterations,
         vertices=plan.vertices,
-        path_length_raw_rad=plan.path.length if plan.status is PlanStatus.SOLVED and plan.path else None,
+        path_length_raw_rad=plan.path.length if plan.path else None,
         path_length_rad=shorter.path.length if shorter else None,
-        max_violation_rad=certificate.max_violation_rad if certificate else None,
-        max_violation_m=certificate.max_violation_m if certificate else None,
+        max_violation_rad=_defined(certificate.max_violation_rad) if certificate else None,
+        max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
         min_clearance_m=_defined(certificate.min_clearance_m) if certificate else None,
         path_sha256=path_hash(shorter.path) if shorter else None,
     )
 
 
+def _fail_reason(solution: Solution) -> FailReason | None:
+    """The first fault of the path, or how the planner ended without one."""
+    if solution.solved:
+        return None
+    if solution.certificate is not None:
+        return FailReason(f"uncertified_{solution.certificate.faults[0].kind}")
+    return FailReason(solution.plan.status)
+
+
 def _defined(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+def path_hash(path: Path) -> str:
+    """sha256 of the states' bytes: equal for bit-for-bit equal paths."""
+    return hashlib.sha256(np.ascontiguousarray(path.states, dtype=np.float64).tobytes()).hexdigest()
+
+
+def _phase_problems(task: Task) -> list[str]:
+    """Names, in rows, of a task's planned phases."""
+    planned = [phase.name for phase in task.phases if isinstance(phase, PlannedPhase)]
+    return [phase_problem(task.name, number, name) for number, name in enumerate(planned, start=1)]
+
+
+def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:
+    """Rows of all planned phases; those after a failed one are failures too."""
+    names = _phase_problems(solution.task)
+    rows = [_phase_row(run, *pair) for pair in zip(names, solution.outcomes, strict=False)]
+    return rows + [run.row(name, FailReason.NOT_REACHED, solution.failure) for name in names[len(rows) :]]
+
+
+def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
+    """The row of the last attempt, with time and work of all attempts."""
+    attempts = [result_row(run, attempt, attempt.goal_seconds) for attempt in outcome.attempts]
+    last = attempts[-1]
+    untimed = last.solved and not outcome.solved
+    return replace(
+        last,
+        problem=problem,
+        solved=outcome.solved,
+        fail_reason=FailReason.NOT_TIMED if untimed else last.fail_reason,
+        detail=one_line(outcome.reason) or last.detail,
+        fallback=last.fallback or one_line(outcome.fallback),
+        execution_time_s=outcome.trajectory.duration if outcome.trajectory else None,
+        **{column: _sum(attempts, column) for column in SUMMED},
+    )
+
+
+def _sum(rows: Sequence[ResultRow], column: str) -> Any:
+    """Sum of a column where it is defined; None where it nowhere is."""
+    values = [value for row in rows if (value := getattr(row, column)) is not None]
+    return sum(values) if values else None

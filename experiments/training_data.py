@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import write_text
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.planning.result import Path as Motion
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import provenance, write_text_atomic
+from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene
@@ -113,7 +114,7 @@ def generate(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    write_text_atomic(out / "README.md", dataset_card(out))
+    write_text(out / "README.md", dataset_card(out))
     return sum(done.values())
 
 
@@ -150,9 +151,9 @@ def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
             "offsets": [[0.0, 0.0, 0.0]] * (len(points) - 1) + [T[:3, 3].tolist()],
         },
         "recipe": settings,
-        "provenance": provenance(command, settings, [recipe.seed]),
+        "provenance": provenance(command, [recipe.seed]),
     }
-    write_text_atomic(path, json.dumps(description, indent=1) + "\n")
+    write_text(path, json.dumps(description, indent=1) + "\n")
 
 
 def _table(out: Path) -> list[dict[str, str]]:

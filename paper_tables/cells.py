@@ -1,13 +1,18 @@
-"""Cells of tables: numbers, intervals, aligned markdown and LaTeX text."""
+"""Cells of tables: numbers, intervals, aligned text, markdown, LaTeX and csv."""
 
+import csv
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables.place_task_summary import CONFIDENCE
+from paper_tables.comparison import CONFIDENCE
 
 _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
+
+Lines = Sequence[Sequence[str]]
+"""A table as lines of cells, the header first."""
 
 
 def latex(text: str) -> str:
@@ -34,16 +39,53 @@ def bounds(interval: Interval) -> str:
     return f"({text})" if is_range else f"[{text}]"
 
 
-def aligned(lines: Sequence[Sequence[str]]) -> str:
-    """A markdown table (first line: header) whose columns line up in a terminal."""
-    escaped = [[cell.replace("|", "\\|") for cell in line] for line in lines]
-    widths = [max(3, *(len(line[i]) for line in escaped)) for i in range(len(escaped[0]))]
-    rule = ["-" * width for width in widths]
-    shown = [escaped[0], rule, *escaped[1:]]
-    padded = ([cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in shown)
-    return "\n".join(f"| {' | '.join(line)} |" for line in padded) + "\n"
+def estimate(interval: Interval) -> str:
+    """The number and its bounds."""
+    return f"{number(interval.estimate)} {bounds(interval)}".strip()
 
 
-def exact(value: float | None) -> str:
-    """Full precision; nothing for None."""
-    return "" if value is None else repr(value)
+def padded(lines: Lines) -> list[list[str]]:
+    """Cells of equal width in every column."""
+    widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
+    return [[cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines]
+
+
+def markdown_table(lines: Lines, none: str = "None.") -> str:
+    """A markdown table whose columns line up in a terminal; the word for it when there is only a header."""
+    if len(lines) < 2:
+        return f"{none}\n"
+    escaped = [[cell.replace("|", "\\|").ljust(3) for cell in line] for line in lines]
+    header, *rest = padded(escaped)
+    rule = ["-" * len(cell) for cell in header]
+    return "\n".join(f"| {' | '.join(line)} |" for line in (header, rule, *rest)) + "\n"
+
+
+def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
+    """A table over two columns (booktabs), two label columns first, with a rule between blocks."""
+    body: list[str] = []
+    for block in blocks:
+        body += [r"\midrule"] if body else []
+        body += [" & ".join(map(latex, line)) + r" \\" for line in block]
+    return "\n".join(
+        [
+            r"\begin{table*}[t]",
+            r"  \centering\scriptsize\setlength{\tabcolsep}{3pt}",
+            rf"  \caption{{{latex(caption)}}}",
+            rf"  \label{{tab:{''.join(c if c.isalnum() else '-' for c in label)}}}",
+            rf"  \begin{{tabular}}{{ll{'c' * (len(blocks[0][0]) - 2)}}}",
+            r"    \toprule",
+            *(f"    {line}" for line in body),
+            r"    \bottomrule",
+            r"  \end{tabular}",
+            r"\end{table*}",
+            "",
+        ]
+    )
+
+
+def csv_text(lines: Iterable[Sequence[object]]) -> str:
+    """Csv with floats in full precision; undefined is empty."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerows([repr(x) if isinstance(x, float) else x for x in line] for line in lines)
+    return buffer.getvalue()

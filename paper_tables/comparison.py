@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.statistics import UNDEFINED, Interval, paired_ratio_interval, problem_key, quantile
-from cvqmpt_lab.results.store import ResultRow
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, problem_key, quantile
 
+CONFIDENCE = 0.95
 REFERENCE = "birrt"
 """Whose work says how hard a problem is, and what the split's ratios are taken against."""
 HARD_SHARE = 1 / 3
@@ -23,18 +24,13 @@ Value = Callable[[ResultRow], float | None]
 
 @dataclass(frozen=True)
 class PaperCosts:
-    """What a unit of work costs in a setting like the paper's [s].
-
-    Attributes
-    ----------
-    state_check: PyBullet asked for all distances of a Panda in this kitchen, 0.7 ms to itself and 2.8 ms to
-        obstacles.
-    projection: Newton's method in Python, on numpy and a compiled kinematics library. The published code does
-        more in Python, so this is a lower bound and favours planners that project much.
-    """
+    """What a unit of work costs in a setting like the paper's [s]."""
 
     state_check: float = 3.5e-3
+    """PyBullet asked for all distances of a Panda in this kitchen, 0.7 ms to itself and 2.8 ms to obstacles."""
     projection: float = 2e-5
+    """Newton's method in Python, on numpy and a compiled kinematics library. The published code does more in
+    Python, so this is a lower bound and favours planners that project much."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -83,7 +79,6 @@ def paired_ratio(
     rows: Iterable[ResultRow],
     baseline: Iterable[ResultRow],
     value: Value,
-    confidence: float,
     problems: Collection[str] | None = None,
 ) -> Interval:
     """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
@@ -102,11 +97,8 @@ def paired_ratio(
         own, other = value(row) if row.solved else None, reference.get(problem_key(row))
         if own and other and min(own, other) > 0.0 and (problems is None or row.problem in problems):
             logs.setdefault(row.problem, []).append(math.log(own / other))
-    if not logs:
-        return UNDEFINED
     ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
-    ones = np.ones(len(ratios))
-    return paired_ratio_interval(ratios, ones, np.random.default_rng(0), confidence=confidence)
+    return geometric_mean_interval(ratios, np.random.default_rng(0), confidence=CONFIDENCE)
 
 
 @dataclass(frozen=True)

@@ -174,6 +174,9 @@ def _read_weights(path: Path, expected: str) -> dict[str, Tensor]:
         raise InvalidInputError(f"{path} is not a safetensors file: {error}") from error
 
 
-def checkpoint_sha256(folder: Path) -> str:
-    """One hash for a whole checkpoint: of ``config.json``, which holds those of the weights."""
-    return hashlib.sha256(read_bytes(Path(folder) / CONFIG_FILE, "weights")).hexdigest()
+def weights_digest(folder: Path) -> str:
+    """One sha256 for a whole model: of its ``config.json`` and of every file of tensors, with their names."""
+    digest = hashlib.sha256()
+    for path in (Path(folder) / CONFIG_FILE, *sorted(Path(folder).glob("*.safetensors"))):
+        digest.update(f"{path.name} {hashlib.sha256(read_bytes(path, 'weights')).hexdigest()}\n".encode())
+    return digest.hexdigest()

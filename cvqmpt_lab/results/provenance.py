@@ -1,6 +1,5 @@
-"""Where numbers come from: commit, versions, machine, seeds and configuration of a results directory."""
+"""Where numbers come from: commit, versions, machine, weights, seeds and settings of a results directory."""
 
-import contextlib
 import importlib.metadata
 import json
 import os
@@ -12,9 +11,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.files import read_json_object, write_text
 
-SCHEMA = "1"
 PROVENANCE_FILE = "provenance.json"
 
 _PACKAGES = (
@@ -34,13 +33,10 @@ _CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def provenance(
-    command: Sequence[str],
-    configuration: Mapping[str, object],
-    seeds: Iterable[int],
-    model_hash: str | None = None,
-    *,
-    calibration_ns: float | None = None,
-    threads: int | None = None,
+    command: Sequence[str] = (),
+    seeds: Iterable[int] = (),
+    weights: Mapping[str, str] | None = None,
+    processes: int | None = None,
 ) -> dict[str, Any]:
     """Describe one session of runs, ready for json; unknown facts are None and nothing here fails.
 
@@ -48,25 +44,19 @@ def provenance(
     ----------
     command
         The command line, as words.
-    configuration
-        The settings that every run of the table shares; see `results.RunStore.open`.
     seeds
         Seeds of the runs.
-    model_hash
-        sha256 of the checkpoint in use; None when no model was used.
-    calibration_ns
-        Time of one pass of a fixed kernel [ns], measured by the caller, to compare machines.
-    threads
-        Threads the caller gave to one run.
+    weights
+        Digest of each model in use, by the model's name.
+    processes
+        How many ran side by side.
     """
     commit, dirty = _git_state(_CHECKOUT)
     return {
-        "schema": SCHEMA,
         "date_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [str(word) for word in command],
-        "configuration": dict(configuration),
         "seeds": [int(seed) for seed in seeds],
-        "model_hash": model_hash,
+        "weights": dict(weights or {}),
         "git_commit": commit,
         "git_dirty": dirty,
         "versions": {name: _version(name) for name in _PACKAGES},
@@ -74,10 +64,8 @@ def provenance(
         "platform": platform.platform(),
         "cpu_model": _cpu_model(),
         "cpu_count": os.cpu_count(),
-        "gpu": None,
-        "threads": threads,
+        "processes": processes,
         "thread_variables": {name: os.environ.get(name) for name in _THREAD_VARIABLES},
-        "calibration_ns": calibration_ns,
     }
 
 
@@ -116,6 +104,18 @@ def _cpu_model() -> str | None:
     return names[0] if names else platform.processor() or None
 
 
+def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """All sessions that a record tells of, the first one first."""
+    return [record, *record.get("continued", [])]
+
+
+def weights_in(record: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of all models that a record's sessions used, by name."""
+    return {
+        name: digest for session in sessions(record) for name, digest in session.get("weights", {}).items()
+    }
+
+
 @dataclass(frozen=True)
 class ProvenanceFile:
     """``provenance.json`` of a results directory: the first session, and later ones under ``continued``."""
@@ -135,29 +135,31 @@ class ProvenanceFile:
         RunStoreError
             When the file is missing, is not json, or holds no configuration.
         """
-        try:
-            record = json.loads(self.path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use another --out"
-            ) from None
-        except OSError as error:
-            raise RunStoreError(f"cannot read {self.path}: {error.strerror}; use another --out") from error
-        except (ValueError, RecursionError) as error:  # not UTF-8, not json, or nested too deeply
-            raise RunStoreError(f"{self.path} is not json ({error}); use another --out") from error
-        if not isinstance(record, dict) or not isinstance(record.get("configuration"), dict):
+            )
+        try:
+            record = read_json_object(self.path)
+        except InvalidInputError as error:
+            raise RunStoreError(f"{error}; use another --out") from error
+        if not isinstance(record.get("configuration"), dict):
             raise RunStoreError(f"{self.path} records no configuration; use another --out")
         return record
 
     def create(self, configuration: Mapping[str, object], session: Mapping[str, object]) -> None:
         """Write the record of a new directory."""
-        record = {**as_json("the provenance", session), "schema": SCHEMA}
-        record["configuration"] = as_json("the configuration", configuration)
-        self._write(record)
+        self._write({**session, "configuration": dict(configuration)})
 
-    def require_equal(self, configuration: Mapping[str, object]) -> None:
-        """Raise RunStoreError, naming the settings, unless the recorded configuration equals this one."""
-        differences = _differences(self.read()["configuration"], as_json("the configuration", configuration))
+    def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
+        """Raise RunStoreError unless the recorded configuration is this one, and models in both have one digest."""
+        record = self.read()
+        known, now = weights_in(record), session.get("weights", {})
+        both = known.keys() & now.keys()
+        differences = _differences(
+            {**record["configuration"], "weights": {name: known[name] for name in both}},
+            {**json.loads(_json_text(configuration)), "weights": {name: now[name] for name in both}},
+        )
         if differences:
             raise RunStoreError(
                 f"{self.directory} holds runs of another configuration ({'; '.join(differences)}); "
@@ -167,19 +169,19 @@ class ProvenanceFile:
     def add_continuation(self, session: Mapping[str, object]) -> None:
         """List a later session (its commit, machine, date, ...) under ``continued``."""
         record = self.read()
-        later = {k: v for k, v in as_json("the provenance", session).items() if k != "configuration"}
-        self._write({**record, "continued": [*record.get("continued", []), later]})
+        self._write({**record, "continued": [*record.get("continued", []), dict(session)]})
 
     def _write(self, record: Mapping[str, object]) -> None:
-        write_text_atomic(self.path, json.dumps(record, indent=2, sort_keys=True) + "\n")
+        write_text(self.path, _json_text(record) + "\n")
 
 
-def as_json(what: str, value: Mapping[str, object]) -> dict[str, Any]:
-    """Return the value as json would give it back (tuples become lists); RunStoreError when it cannot."""
+def _json_text(record: Mapping[str, object]) -> str:
     try:
-        return json.loads(json.dumps(dict(value), allow_nan=False))
+        return json.dumps(record, indent=2, sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise RunStoreError(f"{what} cannot be json ({error}); use finite numbers, text and lists") from error
+        raise RunStoreError(
+            f"the configuration cannot be json ({error}); use finite numbers, text and lists"
+        ) from error
 
 
 def _differences(recorded: object, asked: object, name: str = "") -> list[str]:
@@ -190,30 +192,3 @@ def _differences(recorded: object, asked: object, name: str = "") -> list[str]:
     for key in sorted(recorded.keys() | asked.keys()):
         found += _differences(recorded.get(key), asked.get(key), f"{name}.{key}" if name else key)
     return found
-
-
-def write_text_atomic(path: Path, text: str) -> None:
-    """Write UTF-8 text as `write_bytes_atomic` does."""
-    write_bytes_atomic(path, text.encode("utf-8"))
-
-
-def write_bytes_atomic(path: Path, data: bytes) -> None:
-    """Write data to a temporary file in the same folder and move it into place.
-
-    Raises
-    ------
-    RunStoreError
-        When the folder cannot be written to; the old file, if any, is then unchanged.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as handle:
-            handle.write(data)
-            handle.flush()
-            os.fsync(handle.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise RunStoreError(f"cannot write {path}: {error.strerror}; choose a writable folder") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)

@@ -7,13 +7,13 @@ something is undefined (no data) an `Interval` holds None, never 0.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import binom, binomtest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.store import ResultRow, natural_key
+from cvqmpt_lab.results.row import ResultRow, natural_key
 
 ProblemKey = tuple[str, str, int]
 """(suite, problem, seed): what two planners must share for their runs to be a pair."""
@@ -54,15 +54,11 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interva
     """
     if not 0 <= successes <= n:
         raise InvalidInputError(f"{successes} successes of {n} runs; successes must lie in 0..n")
-    z = NormalDist().inv_cdf(0.5 + _checked_confidence(confidence) / 2)
+    _checked_confidence(confidence)
     if n == 0:
         return UNDEFINED
-    rate = successes / n
-    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
-    low = 0.0 if successes == 0 else centre - half
-    high = 1.0 if successes == n else centre + half
-    return Interval(rate, low, high, n)
+    bounds = binomtest(successes, n).proportion_ci(confidence, method="wilson")
+    return Interval(successes / n, float(bounds.low), float(bounds.high), n)
 
 
 def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
@@ -80,26 +76,13 @@ def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
         For NaN, values that are not one-dimensional, or a confidence outside (0, 1).
     """
     ordered = np.sort(_checked_values(values))
-    n = len(ordered)
-    rank, coverage = _order_rank(n, _checked_confidence(confidence))
+    n, tail = len(ordered), (1.0 - _checked_confidence(confidence)) / 2.0
     if n == 0:
         return UNDEFINED
+    rank = max(1, int(binom.ppf(tail, n, 0.5)))
+    coverage = max(0.0, float(1.0 - 2.0 * binom.cdf(rank - 1, n, 0.5)))
     median = float(ordered[(n - 1) // 2] / 2 + ordered[n // 2] / 2)
     return Interval(median, float(ordered[rank - 1]), float(ordered[n - rank]), n, coverage)
-
-
-def _order_rank(n: int, confidence: float) -> tuple[int, float]:
-    """Return the largest r >= 1 with enough coverage (1 when there is none), and the coverage of that r."""
-    term = below = 1  # 2**n times P(B = r - 1) and P(B <= r - 1), as exact integers
-    rank, coverage = 1, 1 - 2 * below / 2**n
-    for candidate in range(2, n // 2 + 1):
-        term = term * (n - candidate + 2) // (candidate - 1)
-        below += term
-        covered = 1 - 2 * below / 2**n
-        if covered < confidence:
-            break
-        rank, coverage = candidate, covered
-    return rank, max(coverage, 0.0)
 
 
 def quantile(values: ArrayLike, probability: float) -> float | None:
@@ -138,29 +121,24 @@ def mean_of_solved(
     return _bootstrap_mean(array[np.isfinite(array)], rng, n_bootstrap, confidence)
 
 
-def paired_ratio_interval(
-    a: ArrayLike, b: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
+def geometric_mean_interval(
+    values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
 ) -> Interval:
-    """Geometric mean of a / b over pairs with a percentile-bootstrap interval (pairs are resampled).
-
-    One pair has no interval. Runs that failed have no place here: pass jointly solved pairs only.
+    """Geometric mean, of ratios say, with a percentile-bootstrap interval; one value has no interval.
 
     Raises
     ------
     InvalidInputError
-        For arrays of unequal length, or values that are not finite and positive.
+        For values that are not finite and positive.
     """
-    first, second = _checked_values(a), _checked_values(b)
-    if len(first) != len(second):
-        raise InvalidInputError(f"{len(first)} values paired with {len(second)}; the lengths must be equal")
-    for value in (*first, *second):
-        if not 0 < value < math.inf:
-            raise InvalidInputError(f"{value} in a paired ratio; values must be finite and positive")
-    logs = _bootstrap_mean(np.log(first / second), rng, n_bootstrap, confidence)
-    if logs.estimate is None:
-        return UNDEFINED
-    low, high = (None if bound is None else math.exp(bound) for bound in (logs.low, logs.high))
-    return Interval(math.exp(logs.estimate), low, high, logs.n)
+    array = _checked_values(values)
+    if not ((array > 0.0) & np.isfinite(array)).all():
+        raise InvalidInputError(
+            f"geometric mean of {array.min()} to {array.max()}; give finite positive values"
+        )
+    logs = _bootstrap_mean(np.log(array), rng, n_bootstrap, confidence)
+    estimate, low, high = (None if x is None else math.exp(x) for x in (logs.estimate, logs.low, logs.high))
+    return Interval(estimate, low, high, logs.n)
 
 
 def _bootstrap_mean(
@@ -175,22 +153,6 @@ def _bootstrap_mean(
     means = values[rng.integers(n, size=(n_bootstrap, n))].mean(axis=1)
     low, high = np.quantile(means, [tail, 1 - tail])
     return Interval(float(values.mean()), float(low), float(high), n)
-
-
-def solved_against_time(times: ArrayLike, grid: ArrayLike) -> NDArray[np.float64]:
-    """Share of runs solved within each time of `grid` (m,) [s]; NaN everywhere without runs.
-
-    Raises
-    ------
-    InvalidInputError
-        For NaN among the times; a failure is +inf.
-    """
-    ordered = np.sort(_checked_values(times))
-    limits = np.asarray(grid, dtype=np.float64)
-    if len(ordered) == 0:
-        return np.full(limits.shape, np.nan)
-    finite = ordered[np.isfinite(ordered)]
-    return np.searchsorted(finite, limits, side="right") / len(ordered)
 
 
 def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[ProblemKey, ...]:

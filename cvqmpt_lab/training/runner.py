@@ -10,7 +10,7 @@ import torch
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.weights_folder import checkpoint_folder, checkpoint_sha256
+from cvqmpt_lab.models.weights_folder import checkpoint_folder, weights_digest
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.loop import Limits, Tick, TrainingEnd, train
 from cvqmpt_lab.training.mpnet import MPNetStage
@@ -99,7 +99,7 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
         "seed": request.seed,
     }
     if request.dictionary is not None:
-        settings["dictionary_sha256"] = checkpoint_sha256(
+        settings["dictionary_sha256"] = weights_digest(
             checkpoint_folder(request.dictionary) or request.dictionary
         )
     folder = RunFolder(request.out, settings)

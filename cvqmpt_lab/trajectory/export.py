@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.results.provenance import write_text_atomic
+from cvqmpt_lab.files import write_text
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 KINDS = ("position", "velocity", "acceleration")
@@ -19,7 +19,7 @@ KINDS = ("position", "velocity", "acceleration")
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a .csv or .json file, whole or not at all."""
     writer = _WRITERS[file_type(path)]
-    write_text_atomic(Path(path), writer(trajectory))
+    write_text(Path(path), writer(trajectory))
 
 
 def file_type(path: Path | str) -> str:

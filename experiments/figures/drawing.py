@@ -12,8 +12,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from cvqmpt_lab.files import write_bytes
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import write_bytes_atomic
 from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import still_image
 from experiments.figures.hand_poses import HandPoses
@@ -39,7 +39,7 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write name.png and name.svg, each at once or not at all."""
     paths = [folder / f"{name}.{kind}" for kind in FORMATS]
     for path, kind in zip(paths, FORMATS, strict=True):
-        write_bytes_atomic(path, figure_bytes(figure, kind))
+        write_bytes(path, figure_bytes(figure, kind))
     return paths
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.provenance import write_text_atomic
+from cvqmpt_lab.files import write_text
 from experiments.figures.latent_update import LatentUpdate
 
 BINS = 40
@@ -145,7 +145,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object
     writer.writerow(columns)
     for row in rows:
         writer.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in row])
-    write_text_atomic(path, text.getvalue())
+    write_text(path, text.getvalue())
     return path
 
 

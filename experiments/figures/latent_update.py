@@ -19,7 +19,6 @@ from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
-from experiments.suites.place_task import UnsolvableProblem
 
 FAR, NEAR = "far", "near"
 RANKS: Mapping[str, float] = {FAR: 0.9, NEAR: 0.1}
@@ -93,17 +92,15 @@ class LatentUpdate:
 
 
 def update_latents(
-    problem: PlanningProblem | UnsolvableProblem, checkpoint: Checkpoint, settings: UpdateSettings
+    problem: PlanningProblem, checkpoint: Checkpoint, settings: UpdateSettings
 ) -> LatentUpdate:
     """Look at the scene, predict, update, draw.
 
     Raises
     ------
     InvalidInputError
-        When there is no problem, no goal, or too few codes to compare two.
+        When there is no goal, or too few codes to compare two.
     """
-    if isinstance(problem, UnsolvableProblem):
-        raise InvalidInputError(f"problem {problem.name} has no start: {problem.reason}; choose another")
     problem, _ = with_sampled_goals(problem)
     if len(problem.goals) == 0:
         raise InvalidInputError(f"problem {problem.name}: no goal was found; choose another")

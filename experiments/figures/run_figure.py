@@ -3,16 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.errors import RunStoreError, UnknownChoiceError
-from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.weights_folder import checkpoint_sha256
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.shipped import shipped_model_folder
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, as_json, provenance
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.files import make_folder
+from cvqmpt_lab.models.weights_folder import weights_digest
+from cvqmpt_lab.prediction.weights import SHIPPED, load_vq_mpt, resolve_model
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from experiments.figures.drawing import hand_figure, histogram_figure, save_figure
 from experiments.figures.hand_poses import hand_change, write_hands
 from experiments.figures.histogram import code_changes, write_tables
@@ -20,16 +20,17 @@ from experiments.figures.latent_update import FAR, LatentUpdate, UpdateSettings,
 from experiments.suites.table import suite_named
 
 SUITE = "place-task"
+MODEL = "vq_mpt"
 
 
 @dataclass(frozen=True)
 class FigureRequest:
-    """What to draw: a figure of `FIGURES`, of one problem, by a model's folder (None: the shipped one)."""
+    """What to draw: a figure of `FIGURES`, of one problem, by a model's name or folder (None: the shipped one)."""
 
     figure: str
     out: Path
     problem: int = 0
-    model: Path | None = None
+    model: str | None = None
     settings: UpdateSettings = field(default_factory=UpdateSettings)
 
     def __post_init__(self) -> None:
@@ -47,45 +48,26 @@ def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[La
     RunStoreError
         When the folder cannot be written to or holds other results.
     """
-    problem = suite_named(SUITE).problem(request.problem)
-    model = request.model or shipped_model_folder()
-    checkpoint = _checkpoint(model)
-    record = ProvenanceFile(request.out)
-    sha256 = checkpoint_sha256(model)
-    configuration = as_json(
-        "the configuration",
-        {
-            "figure": request.figure,
-            "suite": SUITE,
-            "problem": request.problem,
-            "model_sha256": sha256,
-            "update": asdict(request.settings),
-        },
-    )
-    _prepare(record, configuration)
-    update = update_latents(problem, checkpoint, request.settings)
-    seeds = [request.settings.seed]
-    record.create(configuration, provenance(command, configuration, seeds, sha256))
-    return update, [*FIGURES[request.figure](update, request.out), record.path]
-
-
-def _checkpoint(model: Path) -> Checkpoint:
-    return load_checkpoint(model, robot_signature(robot_from_source({"name": "panda"})))
-
-
-def _prepare(record: ProvenanceFile, configuration: Mapping[str, object]) -> None:
-    """Make the folder, unless it holds something that would be overwritten by something else."""
-    folder = record.directory
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()) and not record.path.is_file():
-            raise RunStoreError(
-                f"{folder} holds files without {PROVENANCE_FILE}; choose an empty folder as --out"
-            )
-    except OSError as error:
-        raise RunStoreError(f"cannot write to {folder}: {error.strerror}; use another --out") from error
+    problem = suite_named(SUITE).solvable(request.problem)
+    assert isinstance(problem, PlanningProblem)
+    model = resolve_model(request.model or MODEL, SHIPPED[MODEL])
+    record = ProvenanceFile(make_folder(request.out))
+    configuration: dict[str, Any] = {
+        "figure": request.figure,
+        "suite": SUITE,
+        "problem": request.problem,
+        "update": asdict(request.settings),
+    }
+    session = provenance(command, [request.settings.seed], {MODEL: weights_digest(model)})
     if record.path.is_file():
-        record.require_equal(configuration)
+        record.require_same(configuration, session)
+    elif any(request.out.iterdir()):
+        raise RunStoreError(
+            f"{request.out} holds files without {PROVENANCE_FILE}; use an empty folder as --out"
+        )
+    update = update_latents(problem, load_vq_mpt(problem.robot, model), request.settings)
+    record.create(configuration, session)
+    return update, [*FIGURES[request.figure](update, request.out), record.path]
 
 
 def _histogram(update: LatentUpdate, folder: Path) -> list[Path]:

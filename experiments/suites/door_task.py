@@ -29,6 +29,7 @@ STANDOFF = 0.10  # [m] from the hand frame to the bar's axis
 GRIP = 0.0075  # [m] opening of each finger: the bar's radius
 PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
 TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
+PROBLEMS = range(10)
 GRASPS = 20  # of the closed door that are tried
 GOALS_NEEDED = 10  # of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
 START_MARGIN = 5e-4  # [m] kept by starts: a closed door is only 1 mm from its neighbour
@@ -79,7 +80,7 @@ def door_problem(
     starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,))
     for start in starts.configurations:
         problem = PlanningProblem(
-            name=f"door-{seed}",
+            name=str(seed),
             robot=robot,
             scene=scene,
             start=start,
@@ -89,7 +90,7 @@ def door_problem(
         )
         if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
             return problem
-    return UnsolvableProblem(f"door-{seed}", no_grasp("start grasp whose posture reaches the goal", starts))
+    return UnsolvableProblem(str(seed), no_grasp("start grasp whose posture reaches the goal", starts))
 
 
 def goal_region(region: TaskSpaceRegionChain, angle: float) -> TaskSpaceRegion:

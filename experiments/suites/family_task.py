@@ -16,7 +16,6 @@ from cvqmpt_lab.scene.families import family_scene
 from experiments.suites.place_task import UnsolvableProblem
 
 PROBLEMS = range(50)
-TUNING_PROBLEMS = range(1000, 1030)  # same distribution, never reported
 DRAWS = 4000  # configurations drawn for start and goal
 APART = 2.0  # [rad] start and goal at least
 TRIES = 200  # pairs looked at for one whose straight motion is blocked

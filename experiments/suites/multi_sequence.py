@@ -23,7 +23,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 from experiments.suites.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
 from experiments.suites.place_task import DOOR, SHELF_LINK, carried_can, grasp_region
-from paper_tables.phases_summary import PAPER_PHASES
+from paper_tables.multi_sequence_summary import PAPER_PHASES
 
 TASKS = range(10)
 FIRST_SEED = 100

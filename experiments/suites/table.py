@@ -1,31 +1,40 @@
-"""The suites by name: which problems an experiment runs."""
+"""The suites by name: which problems or tasks an experiment runs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.methods.table import PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.families import FAMILIES
+from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.trajectory.timing import SLOW
+from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
+from experiments.suites.door_task import door_problem
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
 from experiments.suites.family_task import family_problem
+from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.suites.place_task import ENVIRONMENTS, UnsolvableProblem, carried_can, place_problem
 
 
 @dataclass(frozen=True)
 class Suite:
-    """A named, ordered set of problems; make(i) builds the one with index i."""
+    """A named, ordered set of problems or tasks; make(i) builds the one with index i."""
 
     name: str
     problems: Sequence[int]
-    make: Callable[[int], PlanningProblem | UnsolvableProblem]
-    summary: str
+    make: Callable[[int], PlanningProblem | UnsolvableProblem | Task]
+    planners: Sequence[str] = tuple(PLANNERS)
+    """Those that are run unless others are named."""
     carried: tuple[Attachment, ...] = ()
     """What the hand is shown with in pictures, where its problems do not model it."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """What else decides its rows, as json values."""
 
-    def problem(self, index: int) -> PlanningProblem | UnsolvableProblem:
-        """Problem `index`; InvalidInputError names the valid range."""
+    def item(self, index: int) -> PlanningProblem | UnsolvableProblem | Task:
+        """Problem or task `index`; InvalidInputError names the valid range."""
         if index not in self.problems:
             raise InvalidInputError(
                 f"unknown problem {index} of suite {self.name}; valid indices: "
@@ -33,32 +42,24 @@ class Suite:
             )
         return self.make(index)
 
+    def solvable(self, index: int) -> PlanningProblem | Task:
+        """The same; InvalidInputError where there is no problem."""
+        item = self.item(index)
+        if isinstance(item, UnsolvableProblem):
+            raise InvalidInputError(f"problem {index} of {self.name} has no solution: {item.reason}")
+        return item
+
 
 SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
+        Suite("place-task", ENVIRONMENTS, place_problem, carried=(carried_can(),)),
+        Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
+        *(Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name)) for name in FAMILIES),
         Suite(
-            "place-task",
-            ENVIRONMENTS,
-            place_problem,
-            "carry a can to the shelf upright; can not modelled",
-            (carried_can(),),
+            "open-door", DOOR_PROBLEMS, door_problem, [name for name in PLANNERS if name in WITHOUT_WEIGHTS]
         ),
-        Suite(
-            "place-task-with-can",
-            ENVIRONMENTS,
-            partial(place_problem, with_can=True),
-            "the same with the carried can as part of the robot",
-        ),
-        *(
-            Suite(
-                f"family-{family}",
-                FAMILY_PROBLEMS,
-                partial(family_problem, family),
-                f"between upright hand poses in held-out scenes of the family {family}",
-            )
-            for family in FAMILIES
-        ),
+        Suite("multi-sequence", TASKS, multi_sequence_task, settings={"speed": SLOW}),
     )
 }
 

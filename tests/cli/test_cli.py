@@ -13,7 +13,7 @@ import pytest
 
 from cli.main import COMMANDS, main
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.store import RUNS_FILE, read_rows
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.scene.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,12 +69,12 @@ def refused(capsys, *words):
         ("plan place-task --backend nope", "'nope'", "compiled, exact"),
         ("plan place-task --seed -1", "-1", "0 or more"),
         ("plan", "--problem-file", "place-task"),
-        ("plan place-task --problem-file x", "--problem-file", "one of the two"),
+        ("plan place-task --problem-file x", "--problem-file", "one of the three"),
         ("plan --problem-file /nope", "/nope", "No such file"),
         ("plan place-task --save /nope/x.rrd", "/nope", "does not exist"),
         ("plan place-task --save-path /nope/x.csv", "/nope", "does not exist"),
         ("reproduce nope", "'nope'", "place-task"),
-        ("reproduce place-task --suite nope", "'nope'", "place-task-with-can"),
+        ("figure nope", "'nope'", "histogram, concept"),
         ("reproduce place-task --planners birrt,nope", "'nope'", "ompl-projected"),
         ("reproduce place-task --planners ,", "planners", "at least one"),
         ("problems nope place-task", "'nope'", "list, export"),
@@ -285,9 +285,9 @@ def test_reproduce_names_the_files_it_wrote(capsys, tmp_path):
     words = ["reproduce", "place-task", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
     assert main([*words, "--iterations", "20000", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    for name in ("runs.csv", "place_task.md", "place_task.tex", "place_task.csv"):
-        assert (tmp_path / name).is_file() and str(tmp_path / name) in out
-    assert "22.95" in out and "birrt" in out
+    for name in ("runs.csv", "table.md", "table.tex", "table.csv"):
+        assert (tmp_path / name).is_file() and name in out
+    assert str(tmp_path / "table.md") in out and "birrt" in out
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
 from cvqmpt_lab.models.robot_signature import OtherRobotError
-from cvqmpt_lab.models.weights_folder import checkpoint_sha256
+from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.prediction import weights
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.predictor import Predictor
@@ -47,7 +47,7 @@ def test_info_tells_what_is_in_a_folder(panda, tmp_path, capsys):
     folder = tmp_path / "run" / "model"
     save_checkpoint(folder, checkpoint)
     found = info(capsys, "--model", tmp_path / "run")  # a training's folder is as good
-    assert found["architecture"] == "vq-mpt" and found["sha256"] == checkpoint_sha256(folder)
+    assert found["architecture"] == "vq-mpt" and found["sha256"] == weights_digest(folder)
     assert found["robot"]["joints"] == list(panda.joint_names)
     assert found["robot"]["kinematics"] == panda.kinematics_digest
     listed = json.loads((folder / "config.json").read_text())["sha256"]

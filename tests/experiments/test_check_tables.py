@@ -10,13 +10,15 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods import table
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.results.store import ResultRow, RunStore
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.store import RunStore
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, Outcome, compare, made_with, measure
-from paper_tables.committed import RESULTS, committed_directories, differing_cells
+from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable
 from paper_tables.render import render_directory
 
 FEW = (Case("birrt", 2, 0, 20_000), Case("birrt", 2, 1, 20_000), Case("ompl-projected", 2, 1, 20_000))
+CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
 HERE = {"cpu_model": "this one", "numba": "1"}
 ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
 
@@ -69,13 +71,13 @@ def test_a_broken_planner_turns_red_also_on_another_machine(few, monkeypatch):
     found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
     assert "by bounds, not bit for bit, since cpu_model this one -> another one" in found.mode
     assert [line.partition(": ")[2] for line in found.differences] == [
-        "status was solved, is iteration_limit"
+        "fail_reason was None, is iteration_limit"
     ] * 2
 
 
 def outcome(seed=0, planner="birrt", **values):
     plain = dict.fromkeys(regression.COLUMNS, 100) | {
-        "status": "solved",
+        "fail_reason": None,
         "path_length_rad": 8.0,
         "path_sha256": "a",
     }
@@ -94,7 +96,7 @@ def outcome(seed=0, planner="birrt", **values):
         ([{"path_length_rad": 11.0}] * 2, ["path_length_rad was 8.0"] * 2, []),
         ([{"path_length_rad": 13.0}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 1.62 times"]),
         ([{"path_length_rad": 3.9}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 0.49 times"]),
-        ([{"status": "timeout"}, {}], ["status was solved, is timeout"], ["status was solved, is timeout"]),
+        ([{"fail_reason": "timeout"}, {}], ["fail_reason was None, is timeout"], ["fail_reason was None, is timeout"]),
     ],
 )  # fmt: skip
 def test_equality_here_and_stated_bounds_elsewhere(changes, exactly, by_bounds):
@@ -129,7 +131,7 @@ def test_unreadable_expectations_name_the_cure(tmp_path, text):
     path = tmp_path / "e.json"
     if text is not None:
         path.write_text(text)
-    with pytest.raises(InvalidInputError, match=r"e\.json: .*check-tables --update") as error:
+    with pytest.raises(InvalidInputError, match=r"e\.json .*check-tables --update") as error:
         Expectations.load(path)
     assert "\n" not in str(error.value)
 
@@ -138,7 +140,7 @@ def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     committed = Expectations.load(EXPECTED)
     assert sorted(item.case for item in committed.outcomes) == sorted(CASES)
     assert {case.planner for case in CASES} == set(table.PLANNERS)
-    assert {item.values["status"] for item in committed.outcomes} == {"solved", "iteration_limit"}
+    assert {item.values["fail_reason"] for item in committed.outcomes} == {None, "iteration_limit"}
 
 
 # ---------------------------------------------------------------- tables
@@ -149,16 +151,15 @@ def results(tmp_path):
     """A folder of results with one directory of rendered rows."""
     directory = tmp_path / "results" / "place-task"
     rng = np.random.default_rng(0)
-    with RunStore.open(directory, {"cutoff_s": 10.0}) as store:
+    with RunStore.open(directory, {"cutoff_s": 10.0}, CLEAN) as store:
         for problem in range(8):
             for planner in ("birrt", "ompl-projected"):
                 time, length = rng.uniform(0.1, 2.0), rng.uniform(5.0, 9.0)
-                store.append(
-                    ResultRow(
-                        suite="place-task", problem=str(problem), planner=planner, seed=0, backend="compiled",
-                        status="solved", solved=True, certified=True, t_total_s=time, path_length_rad=length,
-                    )
+                row = ResultRow(
+                    suite="place-task", problem=str(problem), planner=planner, seed=0, backend="compiled",
+                    solved=True, certified=True, t_total_s=time, path_length_rad=length,
                 )  # fmt: skip
+                store.append([row])
     render_directory(directory)
     return directory.parent
 
@@ -179,11 +180,11 @@ def test_untouched_tables_are_equal(results):
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("place_task.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", "committed '21.95', rendered '22.95'"]),
-        ("place_task.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
-        ("place_task.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', rendered '22.95'"]),
-        ("place_task.md", "### Notes", "###  Notes", ["committed '###  Notes', rendered '### Notes'"]),
-        ("place_task.md", "| birrt", "|  birrt", ["spaces differ"]),
+        ("table.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", "committed '21.95', rendered '22.95'"]),
+        ("table.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
+        ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', rendered '22.95'"]),
+        ("table.md", "## Notes", "##  Notes", ["committed '##  Notes', rendered '## Notes'"]),
+        ("table.md", "| birrt", "|  birrt", ["spaces differ"]),
     ],
 )  # fmt: skip
 def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
@@ -196,12 +197,39 @@ def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
 
 def test_changed_rows_and_missing_tables_are_noticed(results):
     directory = results / "place-task"
-    (directory / "place_task.tex").unlink()
-    assert "place_task.tex: missing" in "".join(differing_cells(directory))
-    tampered(directory / "runs.csv", ",true,true,", ",false,,")
+    (directory / "table.tex").unlink()
+    assert "table.tex: missing" in "".join(differing_cells(directory))
+    tampered(directory / "runs.csv", ",true,,,,true,", ",false,timeout,,,,")
     assert len(differing_cells(directory)) == 3
     (directory / "provenance.json").unlink()
     assert "cannot be rendered" in "".join(differing_cells(directory))
+
+
+def test_rows_that_can_be_traced_are_accepted(results):
+    (directory,) = committed_directories(results)
+    assert untraceable(directory, lambda planner: ()) == []
+
+
+@pytest.mark.parametrize(
+    ("session", "words"),
+    [
+        ({"git_dirty": True}, "made from aaaaaaaaaaaa with uncommitted changes"),
+        ({"git_commit": None}, "made without a commit"),
+        ({}, "no digest of the weights 'vq_mpt'"),
+        ({"weights": {"mpnet": "b" * 64}}, "no digest of the weights 'vq_mpt'"),
+    ],
+)
+@pytest.mark.parametrize("continued", [False, True])
+def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words, continued):
+    row = {"suite": "place-task", "seed": 0, "backend": "compiled", "solved": True, "certified": True}
+    if continued:
+        with RunStore.open(tmp_path, {}, CLEAN) as store:
+            store.append([ResultRow(problem="1", planner="birrt", **row)])
+    with RunStore.open(tmp_path, {}, {**CLEAN, **session}) as store:
+        store.append([ResultRow(problem="1", planner="cvq-mpt", **row)])
+    needs = {"cvq-mpt": ("vq_mpt",) if "weights" in words else ()}
+    (line,) = untraceable(tmp_path, lambda planner: needs.get(planner, ()))
+    assert words in line
 
 
 def test_the_committed_tables_are_a_fresh_rendering():
@@ -224,9 +252,10 @@ def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_pa
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BlindBiRRT()))
     assert main(words) == 1
     assert (
-        "  differs: birrt, problem 2, seed 0, 20000 iterations: status was solved" in capsys.readouterr().out
+        "  differs: birrt, problem 2, seed 0, 20000 iterations: fail_reason was None"
+        in capsys.readouterr().out
     )
     assert main([*words, "--update"]) == 0 and main(words) == 0
-    tampered(results / "place-task" / "place_task.md", "22.95", "21.95")
+    tampered(results / "place-task" / "table.md", "22.95", "21.95")
     assert main(words) == 1
     assert "committed '21.95', rendered '22.95'" in capsys.readouterr().out

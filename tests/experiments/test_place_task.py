@@ -16,12 +16,13 @@ from experiments.suites.place_task import (
     ENVIRONMENTS,
     GOALS,
     TUNING_ENVIRONMENTS,
+    UnsolvableProblem,
     can_com,
     carried_can,
     grasp_region,
     place_problem,
 )
-from experiments.suites.table import SUITES, suite_named
+from experiments.suites.table import SUITES, Suite, suite_named
 
 SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
 
@@ -97,11 +98,19 @@ def test_problems_repeat(problem):
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
     last = len(suite_named(suite).problems) - 1
-    assert last == (49 if suite.startswith("family-") else 149)
-    assert suite_named(suite).problem(last).name == str(last)
+    assert last == {"place-task": 149, "place-task-with-can": 149, "multi-sequence": 9, "open-door": 9}.get(
+        suite, 49
+    )
+    assert suite_named(suite).item(last).name == str(last)
     for index in (-1, last + 1, 1000):
         with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"):
-            suite_named(suite).problem(index)
+            suite_named(suite).item(index)
+
+
+def test_a_problem_without_a_start_is_said():
+    suite = Suite("hard", range(3), lambda index: UnsolvableProblem(str(index), "no start grasp"))
+    with pytest.raises(InvalidInputError, match="problem 2 of hard has no solution: no start grasp"):
+        suite.solvable(2)
 
 
 @pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
@@ -137,7 +146,7 @@ def test_every_environment_has_a_problem(with_can):
 def test_every_environment_is_solved(suite):
     """By birrt within 20 000 iterations; every path certified, every start and goal checked by `solve`."""
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
-    problems = [suite_named(suite).problem(e) for e in ENVIRONMENTS]
+    problems = [suite_named(suite).solvable(e) for e in ENVIRONMENTS]
     solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
     assert min(len(s.problem.goals) for s in solutions) >= 1
     failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -11,13 +12,15 @@ from pathlib import Path
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, WITHOUT_WEIGHTS
+from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
+from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.prediction.shipped import shipped_hash
-from cvqmpt_lab.results.store import PARTIAL_FILE, RUNS_FILE, read_rows, sorted_rows
+from cvqmpt_lab.prediction.weights import resolve_model
+from cvqmpt_lab.results.provenance import ProvenanceFile
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
+from cvqmpt_lab.results.store import PARTIAL_FILE
 from experiments import run as runner
-from experiments.run import Experiment, model_hash, run_experiment
-from experiments.suites.place_task import UnsolvableProblem
+from experiments.run import Experiment, models_of, run_experiment, weights_of
 from experiments.warmup import compile_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,7 +34,7 @@ def compiled():
     compile_kernels(lambda _: None)
 
 
-def ignore(done, total, row):
+def ignore(done, total, note):
     pass
 
 
@@ -68,7 +71,7 @@ class Killed(BaseException):
 
 
 def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four_rows, tmp_path):
-    def interrupt(done, total, row):
+    def interrupt(done, total, note):
         if done == 2:
             raise Killed
 
@@ -77,7 +80,7 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
     kept = read_rows(tmp_path / RUNS_FILE)
     assert len(kept) == 2 and not (tmp_path / PARTIAL_FILE).exists()
     seen = []
-    rows = run(FOUR, tmp_path, on_progress=lambda done, total, row: seen.append((done, total)))
+    rows = run(FOUR, tmp_path, on_progress=lambda done, total, note: seen.append((done, total)))
     assert seen == [(2, 4), (3, 4), (4, 4)]
     assert [row for row in rows if row in kept] == kept, "finished rows were measured anew"
     assert untimed(rows) == untimed(four_rows)
@@ -102,38 +105,48 @@ def test_another_budget_is_refused_by_name_and_nothing_is_lost(tmp_path):
 
 def test_failures_are_rows_with_a_reason(tmp_path):
     (row,) = run(Experiment("place-task", (5,), ("birrt",), (0,), Budget(iterations=1)), tmp_path)
-    assert (row.solved, row.status, row.fail_reason) == (False, "iteration_limit", "iteration_limit")
+    assert (row.solved, row.fail_reason) == (False, "iteration_limit")
     assert row.path_sha256 is None and row.path_length_rad is None and row.n_iterations == 1
 
 
-def test_unsolvable_environments_are_listed_not_hidden(tmp_path, monkeypatch):
-    real = runner._problem.__wrapped__
+def dies_on(problem, always=True):
+    """`rows_of` that kills its worker on a problem, or only the first time."""
+    real, once = runner.rows_of, Path(tempfile.mkdtemp()) / "died"
 
-    def some_unsolvable(suite, index):
-        return (UnsolvableProblem("3", "no start grasp"), 0.0) if index == 3 else real(suite, index)
+    def rows_of(run, item, seconds):
+        if run.item == problem and run.budget == ENOUGH and (always or not once.exists()):
+            once.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return real(run, item, seconds)
 
-    monkeypatch.setattr(runner, "_problem", some_unsolvable)
-    monkeypatch.setattr(runner, "_warm_up", lambda *setup: None)
-    rows = run(Experiment("place-task", (2, 3), ("birrt",), (0,), ENOUGH), tmp_path)
-    listed = tmp_path / "unsolvable.csv"
-    assert keys(rows) == [("2", "birrt", 0)]
-    assert listed.read_text() == "problem,reason\n3,no start grasp\n"
-    run(Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH), tmp_path)
-    assert listed.read_text() == "problem,reason\n3,no start grasp\n", "a smaller run forgets nothing"
-    monkeypatch.setattr(runner, "_problem", real)
-    rows = run(Experiment("place-task", (3,), ("birrt",), (0,), ENOUGH), tmp_path)
-    assert len(rows) == 2 and listed.read_text() == "problem,reason\n", "what has rows is solvable"
+    return rows_of
 
 
-def test_a_damaged_list_of_unsolvable_environments_is_named_before_anything_runs(tmp_path):
-    one = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)
-    run(one, tmp_path)
-    for damaged in (b"", b"problem\n", b"problem,reason\nx,y\n", b"problem,reason\n3\n", b"\xff\n"):
-        (tmp_path / "unsolvable.csv").write_bytes(damaged)
-        with pytest.raises(RunStoreError, match=r"unsolvable\.csv.*remove it"):
-            run(Experiment("place-task", (2,), ("birrt",), (0, 1), ENOUGH), tmp_path)
-    (tmp_path / "unsolvable.csv").unlink()
-    assert len(run(one, tmp_path)) == 1
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_worker_that_dies_costs_its_own_run_only(tmp_path, monkeypatch, jobs):
+    monkeypatch.setattr(runner, "rows_of", dies_on(10))
+    three = Experiment("place-task", (2, 10, 5), ("birrt",), (0,), ENOUGH)
+    rows = run(three, tmp_path, jobs=jobs)
+    assert [(row.problem, row.fail_reason) for row in rows] == [
+        ("2", None),
+        ("5", None),
+        ("10", "worker_died"),
+    ]
+    assert run(three, tmp_path) == rows, "what killed a worker is not tried again"
+
+
+def test_a_worker_that_something_else_killed_costs_nothing(four_rows, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "rows_of", dies_on(2, always=False))
+    assert untimed(run(FOUR, tmp_path, jobs=2)) == untimed(four_rows)
+
+
+def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
+    def refuse(run, item, seconds):
+        raise InvalidInputError("weights are for another robot")
+
+    monkeypatch.setattr(runner, "rows_of", refuse)
+    with pytest.raises(InvalidInputError, match="another robot"):
+        run(FOUR, tmp_path, jobs=2)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +188,7 @@ def wait_for_rows(process, out, count):
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and process.poll() is None:
         partial = out / PARTIAL_FILE
-        if partial.is_file() and partial.read_bytes().count(b"\n") >= count:
+        if partial.is_file() and partial.read_bytes().count(b"\n\n") >= count:
             return
         time.sleep(0.02)
     pytest.fail("the run ended before it could be interrupted, or made no rows")
@@ -241,8 +254,20 @@ def test_an_interrupted_run_leaves_no_worker_behind(started):
     assert processes_of_session(started.pid) == []
 
 
-def test_rows_made_with_weights_name_them():
-    assert model_hash(("birrt", "tb-rrt")) is None
-    assert model_hash(("birrt", "roadmap-cvq")) == shipped_hash()
-    assert len(shipped_hash()) == 64
-    assert {*PLANNERS, *CONTROLS} > set(WITHOUT_WEIGHTS)
+def test_only_planners_that_need_weights_name_them():
+    digests = {name: weights_digest(resolve_model(name)) for name in ("mpnet", "vq_mpt")}
+    assert weights_of(("birrt", "tb-rrt")) == {}
+    assert weights_of(("birrt", "roadmap-cvq")) == {"vq_mpt": digests["vq_mpt"]}
+    assert weights_of(tuple(PLANNERS)) == digests
+    assert {models_of(name) for name in CONTROLS} == {(), ("vq_mpt",)}
+
+
+def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):
+    few = Experiment("place-task", (2,), ("roadmap-cvq",), (0,), ENOUGH)
+    rows = run(few, tmp_path)
+    recorded = ProvenanceFile(tmp_path).read()["weights"]
+    assert recorded == weights_of(few.planners)
+    monkeypatch.setattr(runner, "weights_of", lambda planners, model: {"vq_mpt": "f" * 64})
+    with pytest.raises(RunStoreError, match=f'weights.vq_mpt was "{recorded["vq_mpt"]}", now "{"f" * 64}"'):
+        run(few, tmp_path)
+    assert read_rows(tmp_path / RUNS_FILE) == rows

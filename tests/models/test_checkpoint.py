@@ -12,7 +12,7 @@ from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint, save_check
 from cvqmpt_lab.models.config import DictionaryConfig, ModelConfig, TransformerConfig
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.weights_folder import checkpoint_sha256
+from cvqmpt_lab.models.weights_folder import weights_digest
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 SIZES = TransformerConfig(n_layers=1, n_heads=1, d_k=4, d_v=4, d_model=8, d_inner=8)
@@ -34,16 +34,16 @@ def test_round_trip(folder):
     assert (loaded.config, loaded.robot, loaded.metadata) == (CONFIG, ROBOT, {"note": 1})
     assert loaded.sequence_model is None and not loaded.dictionary.training
     other = Dictionary(CONFIG)
-    first = checkpoint_sha256(folder)
+    first = weights_digest(folder)
     save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, other))  # replaces
     for name, tensor in load_checkpoint(folder).dictionary.state_dict().items():
         assert torch.equal(tensor, other.state_dict()[name])
-    assert checkpoint_sha256(folder) != first
+    assert weights_digest(folder) != first
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 
 def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
-    before = checkpoint_sha256(folder)
+    before = weights_digest(folder)
 
     def full(*_):
         raise OSError(28, "No space left on device")
@@ -53,7 +53,7 @@ def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
             patch.setattr(weights_folder, name, full)
             with pytest.raises(InvalidInputError, match="No space left"):
                 save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG)))
-    assert checkpoint_sha256(folder) == before
+    assert weights_digest(folder) == before
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 

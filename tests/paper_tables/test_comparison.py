@@ -5,7 +5,7 @@ import math
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.store import ResultRow
+from cvqmpt_lab.results.row import ResultRow
 from paper_tables.comparison import (
     PaperCosts,
     censored,
@@ -15,8 +15,8 @@ from paper_tables.comparison import (
     split_metric,
     work,
 )
+from paper_tables.place_task_render import render_markdown, render_place
 from paper_tables.place_task_summary import build_place_table
-from paper_tables.render import render_csv, render_markdown
 
 
 def run(planner, problem, checks=None, projections=0, time=1.0, length=1.0, seed=0, solved=True, **values):
@@ -26,8 +26,8 @@ def run(planner, problem, checks=None, projections=0, time=1.0, length=1.0, seed
         planner=planner,
         seed=seed,
         backend="compiled",
-        status="solved" if solved else "timeout",
         solved=solved,
+        fail_reason=None if solved else "timeout",
         certified=solved or None,
         t_total_s=time,
         path_length_rad=length if solved else None,
@@ -68,19 +68,19 @@ def test_failures_are_infinite():
 def test_ratios_are_geometric_means_over_problems_that_both_solved():
     rows = [run("x", 0, 2), run("x", 1, 8), run("x", 2, 1000), run("x", 3, 5, solved=False), run("x", 4)]
     base = [run("b", i, 1) for i in (0, 1, 3, 4)] + [run("b", 2, 1, solved=False)]
-    ratio = paired_ratio(rows, base, work, 0.95)
+    ratio = paired_ratio(rows, base, work)
     assert ratio.estimate == pytest.approx(4.0) and ratio.n == 2  # sqrt(2 * 8)
     assert (ratio.low, ratio.high) == (pytest.approx(2.0), pytest.approx(8.0))
-    one = paired_ratio(rows, base, work, 0.95, problems={"1", "2"})
+    one = paired_ratio(rows, base, work, problems={"1", "2"})
     assert (one.estimate, one.n, one.low) == (pytest.approx(8.0), 1, None)
-    assert paired_ratio(rows, [], work, 0.95).estimate is None
-    assert paired_ratio([run("x", 0, 0)], base, work, 0.95).estimate is None  # no work: no ratio
+    assert paired_ratio(rows, [], work).estimate is None
+    assert paired_ratio([run("x", 0, 0)], base, work).estimate is None  # no work: no ratio
 
 
 def test_seeds_of_a_problem_count_once():
     rows = [run("x", 0, 2, seed=0), run("x", 0, 8, seed=1), run("x", 1, 1)]
     base = [run("b", 0, 1, seed=0), run("b", 0, 1, seed=1), run("b", 1, 1)]
-    ratio = paired_ratio(rows, base, work, 0.95)
+    ratio = paired_ratio(rows, base, work)
     assert ratio.estimate == pytest.approx(2.0) and ratio.n == 2  # 4 and 1
 
 
@@ -110,7 +110,7 @@ def test_ties_are_easy_and_rows_without_work_are_left_out():
 # ---------------------------------------------------------------- in the table
 
 
-def a_table():
+def some_rows():
     """Problems 0 to 5; x works twice as much on easy ones and a quarter on the hard ones, 4 and 5."""
     rows = []
     for i in range(6):
@@ -119,11 +119,11 @@ def a_table():
         rows.append(
             run("x", i, int(100 * (i + 1) * factor), time=1.5, length=2.0, t_goals_s=0.5, t_predict_s=0.1)
         )
-    return build_place_table(rows, ())
+    return rows
 
 
 def test_the_table_splits_and_prices():
-    table = a_table()
+    table = build_place_table(some_rows(), ())
     assert (table.n_easy, table.n_hard) == (4, 2)
     x = next(summary for summary in table.planners if summary.name == "x").measured
     expected = {"all": (2.0**4 * 0.25**2) ** (1 / 6), "easy": 2.0, "hard": 0.25}
@@ -141,12 +141,12 @@ def test_the_table_splits_and_prices():
 
 
 def test_renderings_show_both():
-    table = a_table()
-    text = render_markdown(table)
-    section = text.split("### Against birrt")[1].split("###")[0].strip().splitlines()
+    made = render_place(some_rows(), ())
+    text = made.markdown
+    section = text.split("## Against birrt")[1].split("##")[0].strip().splitlines()
     assert [line.split("|")[2].strip() for line in section[2:]] == ["all (6)", "easy (4)", "hard (2)"]
     assert section[3].split("|")[3].strip().startswith("2.00 [2.00, 2.00]")
-    assert "### At the paper's cost of work" in text and "One seed of birrt" in text
-    line = next(line for line in render_csv(table).splitlines() if split_metric("work_ratio", "hard") in line)
+    assert "## At the paper's cost of work" in text and "One seed of birrt" in text
+    line = next(line for line in made.csv.splitlines() if split_metric("work_ratio", "hard") in line)
     assert line.startswith("place,work_ratio_hard_of_birrt,1,birrt,ours,1.0")
-    assert "### Against" not in render_markdown(build_place_table([run("x", 0, 1)], ()))
+    assert "## Against" not in render_markdown(build_place_table([run("x", 0, 1)], ()))

@@ -7,16 +7,20 @@ import subprocess
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.results.row import ResultRow, write_rows
 from cvqmpt_lab.results.statistics import wilson_interval
-from cvqmpt_lab.results.store import PARTIAL_FILE, ResultRow, RunStore, write_rows
-from paper_tables.place_task_summary import HEADLINES, build_place_table, read_published
-from paper_tables.render import PUBLISHED, render_csv, render_directory, render_latex, render_markdown
+from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
+from experiments.suites.table import SUITES
+from paper_tables.paper_numbers import PUBLISHED, read_published
+from paper_tables.place_task_render import render_latex, render_markdown, render_place
+from paper_tables.place_task_summary import HEADLINES, build_place_table
+from paper_tables.render import TABLES, render_directory
 
 PAPER = read_published(PUBLISHED / "place_task.csv", "Place Task")
-CONFIGURATION = {"suite": "place", "cutoff_s": 10.0}
+CONFIGURATION = {"suite": "place-task", "cutoff_s": 10.0}
 
 
-def run(planner, problem, time=None, seed=0, suite="place", backend="compiled", **values):
+def run(planner, problem, time=None, seed=0, suite="place-task", backend="compiled", **values):
     """A row; a failure where `time` is None."""
     solved = time is not None
     return ResultRow(
@@ -25,8 +29,8 @@ def run(planner, problem, time=None, seed=0, suite="place", backend="compiled", 
         planner=planner,
         seed=seed,
         backend=backend,
-        status="solved" if solved else values.pop("status", "timeout"),
         solved=solved,
+        fail_reason=None if solved else values.pop("fail_reason", "timeout"),
         certified=solved or None,
         t_total_s=time if solved else 10.0,
         **values,
@@ -36,7 +40,10 @@ def run(planner, problem, time=None, seed=0, suite="place", backend="compiled", 
 def some_rows():
     rows = [run("birrt", i, 0.1 * (i + 1), path_length_rad=5.0 + i, vertices=10 + i) for i in range(10)]
     rows += [run("ompl-projected", i, 0.4 * (i + 1), path_length_rad=8.0, vertices=40) for i in range(8)]
-    rows += [run("ompl-projected", 8, fail_reason="no path"), run("ompl-projected", 9, status="uncertified")]
+    rows += [
+        run("ompl-projected", 8, detail="no path"),
+        run("ompl-projected", 9, fail_reason="uncertified_goal"),
+    ]
     return rows
 
 
@@ -102,24 +109,27 @@ def test_metrics_are_computed_as_stated():
 
 def test_planners_come_in_the_papers_order_then_others():
     rows = [*some_rows(), run("a-new-planner", 0, 1.0)]
+    rows += [run("tb-rrt", 0, 1.0)]
     names = [summary.name for summary in build_place_table(rows, PAPER).planners]
-    assert names == [
-        "ompl-projected",
-        "atlas-rrt",
-        "tb-rrt",
-        "mpnet",
-        "cvq-mpt",
-        "opt-cvq-mpt",
-        "a-new-planner",
-        "birrt",
-    ]
+    assert names == ["ompl-projected", "tb-rrt", "a-new-planner", "birrt"]
 
 
-def test_planners_without_rows_are_explained():
-    table = build_place_table(some_rows(), PAPER)
-    notes = " ".join(table.footnotes)
-    assert "atlas-rrt, tb-rrt, mpnet, cvq-mpt, opt-cvq-mpt: not run here." in notes
-    assert summaries(table)["cvq-mpt"].measured == {}
+def test_planners_that_were_not_run_are_left_out_with_the_papers_notes_on_them():
+    made = render_place(some_rows(), PAPER)
+    for text in (made.markdown, made.latex, made.csv, "\n".join(made.brief)):
+        assert "ompl-projected" in text and "mpnet" not in text and "Atlas-RRT" not in text
+
+
+def test_fallbacks_are_counted_and_solved_runs_stay_solved():
+    rows = [run("roadmap-cvq", i, 1.0, fallback=f"no path after {i} searches: birrt") for i in range(2)]
+    rows += [run("roadmap-cvq", i, 1.0) for i in range(2, 10)]
+    (summary,) = build_place_table(rows, PAPER).planners
+    assert summary.measured["fallbacks"] == wilson_interval(2, 10).scaled(100)
+    assert summary.measured["accuracy"].estimate == 100 and summary.n_fallen_back == 2
+    made = render_place(rows, PAPER)
+    section = made.markdown.split("## Fallbacks")[1].split("##")[0]
+    assert "no path after 0 searches: birrt" in section and "2 of 10" in section
+    assert made.brief[-1] == "by fallback: roadmap-cvq 2 of 10"
 
 
 def test_a_planner_that_solves_nothing_does_not_empty_the_joint_set():
@@ -160,10 +170,26 @@ def test_a_table_is_of_one_suite():
 # ---------------------------------------------------------------- renderings
 
 
-@pytest.mark.parametrize("render", [render_markdown, render_latex, render_csv])
-def test_the_same_rows_give_the_same_bytes(render):
-    rows = some_rows()
-    assert render(build_place_table(rows, PAPER)) == render(build_place_table(rows[::-1], PAPER))
+def test_the_same_rows_give_the_same_bytes():
+    assert render_place(some_rows(), PAPER) == render_place(some_rows()[::-1], PAPER)
+
+
+def test_a_terminal_gets_a_line_a_planner_within_100_columns():
+    times = dict.fromkeys(
+        ("birrt", "guided-birrt", "ompl-projected", "opt-cvq-mpt", "roadmap-cvq"), 1234.5678
+    )
+    rows = [run(name, i, t + i, path_length_rad=12.3) for name, t in times.items() for i in range(9)]
+    lines = render_place(rows, PAPER).brief
+    assert [line.split()[0] for line in lines[1:]] == [
+        "planner",
+        "ompl-projected",
+        "opt-cvq-mpt",
+        "birrt",
+        "guided-birrt",
+        "roadmap-cvq",
+    ]
+    assert max(map(len, lines)) <= 100 and "22.95" in lines[2]
+    assert "paper" not in render_place(rows, ()).brief[1]
 
 
 def test_markdown_columns_line_up_and_show_paper_and_ours():
@@ -176,8 +202,7 @@ def test_markdown_columns_line_up_and_show_paper_and_ours():
     line = next(line for line in text.splitlines() if line.startswith("| ompl-projected (CBiRRT)"))
     cells = [cell.strip() for cell in line.strip("|").split("|")]
     assert cells[1:6] == ["10", "93.7", "80.0 [49.0, 94.3]", "22.95", "2.20 [0.800, ∞]"]
-    assert "| mpnet (MPNet (w/ proj))   | 0    | 33.85" in text
-    assert "114/127" in text
+    assert "119/127" in text and "114/127" not in text
 
 
 def test_small_samples_show_a_range_in_round_brackets():
@@ -185,16 +210,16 @@ def test_small_samples_show_a_range_in_round_brackets():
     assert "2.00 (1.00, 3.00)" in text
 
 
-def test_markdown_counts_failures_by_status_and_reason():
+def test_markdown_counts_failures_by_reason_with_an_example():
     text = render_markdown(build_place_table(some_rows(), PAPER))
-    failures = text.split("### Failures")[1].split("###")[0]
+    failures = text.split("## Failures")[1].split("##")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in failures.strip().split("\n")]
     assert rows[2:] == [
         ["ompl-projected", "timeout", "no path", "1 of 10"],
-        ["ompl-projected", "uncertified", "–", "1 of 10"],
+        ["ompl-projected", "uncertified_goal", "–", "1 of 10"],
     ]
     only_solved = build_place_table([run("birrt", 0, 1.0)], PAPER)
-    assert "### Failures\n\nNone." in render_markdown(only_solved)
+    assert "## Failures\n\nNone." in render_markdown(only_solved)
 
 
 def test_latex_is_balanced_escaped_and_in_the_papers_layout():
@@ -203,8 +228,8 @@ def test_latex_is_balanced_escaped_and_in_the_papers_layout():
     assert text.count(r"\begin{") == text.count(r"\end{") == 2
     tabular = text.split(r"\toprule")[1].split(r"\bottomrule")[0]
     lines = [line for line in tabular.strip().splitlines() if "rule" not in line]
-    assert {line.count("&") for line in lines} == {1 + 8}
-    assert r"Accuracy (\%) & paper & 93.7 & 100 & 89.76 & 33.85 & 97.63 & 98.42 & -- & --" in text
+    assert {line.count("&") for line in lines} == {1 + 3}
+    assert r"Accuracy (\%) & paper & 93.7 & -- & -- \\" in text
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
@@ -217,15 +242,15 @@ def test_latex_compiles(tmp_path):
 
 def test_csv_is_long_and_exact():
     table = build_place_table(some_rows(), PAPER)
-    records = list(csv.DictReader(io.StringIO(render_csv(table))))
+    records = list(csv.DictReader(io.StringIO(render_place(some_rows(), PAPER).csv)))
     found = {(r["planner"], r["metric"], r["source"]): r for r in records}
     assert len(found) == len(records)
-    assert found["cvq-mpt", "time_mean", "paper"]["value"] == "11.25"
+    assert found["ompl-projected", "time_mean", "paper"]["value"] == "22.95"
     ours = found["ompl-projected", "time_median", "ours"]
     measured = summaries(table)["ompl-projected"].measured["time_median"]
     assert (float(ours["value"]), ours["high"], ours["n"]) == (measured.estimate, "inf", "10")
     assert found["birrt", "projections_median", "ours"]["value"] == ""
-    assert ("cvq-mpt", "accuracy", "ours") not in found
+    assert not [key for key in found if key[0] == "cvq-mpt"]
 
 
 # ---------------------------------------------------------------- directories
@@ -233,29 +258,47 @@ def test_csv_is_long_and_exact():
 
 def store(directory, rows, **provenance):
     with RunStore.open(directory, CONFIGURATION, provenance) as opened:
-        for row in rows:
-            opened.append(row)
+        opened.append(rows)
 
 
 def test_a_directory_is_rendered_beside_its_runs(tmp_path):
-    store(tmp_path, some_rows(), git_commit="a" * 40, git_dirty=True, cpu_model="Fast CPU", cpu_count=2)
-    paths = render_directory(tmp_path)
-    assert [path.name for path in paths] == ["place_task.md", "place_task.tex", "place_task.csv"]
-    texts = [path.read_bytes() for path in paths]
-    header = texts[0].decode().splitlines()[2]
-    assert header.startswith(f"cutoff_s 10.0 · commit {'a' * 12} (modified) · machine Fast CPU, 2 cores")
-    assert header.endswith("20 runs")
-    assert [path.read_bytes() for path in render_directory(tmp_path)] == texts
-    store(tmp_path, [run("birrt", 10, 1.0)], git_commit="b" * 40)
-    assert "bbbbbbbbbbbb" in render_directory(tmp_path)[0].read_text()  # mixed commits are shown
+    store(
+        tmp_path,
+        some_rows(),
+        git_commit="a" * 40,
+        cpu_model="Fast CPU",
+        cpu_count=2,
+        weights={"mpnet": "f" * 64},
+    )
+    written = render_directory(tmp_path)
+    assert [path.name for path in written.paths] == ["table.md", "table.tex", "table.csv"]
+    texts = [path.read_bytes() for path in written.paths]
+    title, _, head, *_ = texts[0].decode().splitlines()
+    assert title == f"# {TABLES['place-task'].title}"
+    assert written.brief[0] == f"{TABLES['place-task'].title}: 10 problems, cutoff 10 s"
+    assert head.startswith(
+        f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · machine Fast CPU, 2 cores"
+    )
+    assert head.endswith("20 rows")
+    assert [path.read_bytes() for path in render_directory(tmp_path).paths] == texts
 
 
-def test_every_suite_gets_a_block_and_only_place_the_papers_numbers(tmp_path):
-    store(tmp_path, [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")])
-    markdown, latex, table = (path.read_text() for path in render_directory(tmp_path))
-    place, random = markdown.split("## random")
-    assert "22.95" in place and "22.95" not in random
-    assert latex.count(r"\begin{table*}") == 2 and table.count("suite,metric") == 1
+def test_the_head_of_a_table_tells_of_every_session_and_of_uncommitted_changes(tmp_path):
+    store(tmp_path, some_rows(), git_commit="a" * 40)
+    store(tmp_path, [run("birrt", 10, 1.0)], git_commit="b" * 40, git_dirty=True)
+    head = render_directory(tmp_path).paths[0].read_text().splitlines()[2]
+    assert f"commit {'a' * 12} and {'b' * 12} WITH UNCOMMITTED CHANGES" in head
+
+
+@pytest.mark.parametrize(("suite", "papers"), [("place-task-with-can", True), ("my-place", False)])
+def test_only_suites_of_the_paper_get_its_numbers(tmp_path, suite, papers):
+    store(tmp_path, [run("ompl-projected", 0, 1.0, suite=suite)])
+    for path in render_directory(tmp_path).paths:
+        assert ("22.95" in path.read_text()) is papers
+
+
+def test_every_suite_has_a_title():
+    assert TABLES.keys() == SUITES.keys()
 
 
 def test_directories_without_runs_say_what_to_do(tmp_path):
@@ -273,4 +316,4 @@ def test_directories_without_runs_say_what_to_do(tmp_path):
     with pytest.raises(RunStoreError, match=r"no provenance\.json"):
         render_directory(tmp_path)
     (tmp_path / "provenance.json").write_text(json.dumps({"configuration": {}}))
-    assert "cutoff not recorded · commit unknown" in render_directory(tmp_path)[0].read_text()
+    assert "cutoff not recorded · commit unknown" in render_directory(tmp_path).paths[0].read_text()

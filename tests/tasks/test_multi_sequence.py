@@ -18,7 +18,8 @@ from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
-from cvqmpt_lab.results.store import ResultRow
+from cvqmpt_lab.results.phase_name import split_problem
+from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.robot.loading import FINGER_OPENING
 from cvqmpt_lab.scene.scene import SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box
@@ -29,16 +30,16 @@ from cvqmpt_lab.show.task_still import NAME_LETTERS, draw_task
 from cvqmpt_lab.tasks.solve_task import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
+from experiments.rows import Run, phase_rows
 from experiments.suites.door_task import OPEN
 from experiments.suites.multi_sequence import CAN_NAME, TARGET, TARGET_SIDE, multi_sequence_task, world
 from experiments.suites.place_task import DOOR, carried_can
-from experiments.task_rows import phase_rows
-from paper_tables.multi_sequence import render_multi_sequence
-from paper_tables.phases_summary import build_phases_table, split_problem, task_rows
-from paper_tables.place_task_summary import read_published
-from paper_tables.render import PUBLISHED
+from paper_tables.multi_sequence_render import render_multi_sequence
+from paper_tables.multi_sequence_summary import build_phases_table, task_rows, time_metric
+from paper_tables.paper_numbers import PUBLISHED, read_published
 
 BUDGET = Budget(seconds=20.0)
+RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
 
 
@@ -54,7 +55,7 @@ def solution(task):
 
 @pytest.fixture(scope="module")
 def rows(solution):
-    return phase_rows("multi-sequence", "birrt", 0, "compiled", solution)
+    return phase_rows(RUN, solution)
 
 
 def changed(task, which, **fields):
@@ -138,7 +139,7 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
     assert len(approach.attempts) == 2
     first, second = (item.simplified.path.states[-1] for item in approach.attempts)
     assert np.abs(first - second).max() > 1e-6
-    rows = phase_rows("multi-sequence", "birrt", 0, "compiled", solution)
+    rows = phase_rows(RUN, solution)
     row = next(row for row in rows if row.problem.endswith("approach"))
     assert rows[-1].solved and rows[-1].t_plan_s > 0.5  # what failed was paid for too
     assert row.n_state_checks == sum(item.plan.counters.state_checks for item in approach.attempts)
@@ -149,19 +150,19 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     solution = solve_task(changed(task, "carry", goal=far), "birrt", BUDGET, seed=0)
     assert not solution.solved
     assert solution.failure.startswith("phase 'carry': no goal: of 100 poses, 100 without inverse kinematics")
-    rows = phase_rows("multi-sequence", "birrt", 0, "compiled", solution)
+    rows = phase_rows(RUN, solution)
     assert [row.solved for row in rows] == [True] * 4 + [False]
-    assert rows[-1].status == "no_goal" and "inverse kinematics" in rows[-1].fail_reason
+    assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
 
 
 def test_phases_after_a_failed_one_are_failures_too(task):
     wall = SceneObject("wall", Box((0.3, 0.3, 0.3)), pose((0.34, -0.485, 0.757)))
     solution = solve_task(replace(task, scene=world().with_objects(wall)), "birrt", BUDGET, seed=0)
-    rows = phase_rows("multi-sequence", "birrt", 0, "compiled", solution)
-    assert [row.status for row in rows] == ["no_goal"] + ["not_reached"] * 4
-    assert all("phase 'reach-handle'" in row.fail_reason for row in rows[1:])
+    rows = phase_rows(RUN, solution)
+    assert [row.fail_reason for row in rows] == ["no_goal"] + ["not_reached"] * 4
+    assert all("phase 'reach-handle'" in row.detail for row in rows[1:])
     (total,) = task_rows(rows)
-    assert not total.solved and total.fail_reason.startswith("reach-handle")
+    assert total.fail_reason == "no_goal" and total.detail.startswith("reach-handle: no goal")
 
 
 def test_json_round_trip(task, tmp_path):
@@ -275,8 +276,7 @@ def made_up(planner, task, planning, execution, solved=True):
             planner=planner,
             seed=0,
             backend="compiled",
-            status="solved" if solved else "timeout",
-            fail_reason=None if solved else "timeout",
+            fail_reason=None if solved else "timeout" if k == 1 else "not_reached",
             solved=solved,
             certified=solved or None,
             t_total_s=planning,
@@ -295,12 +295,13 @@ def test_the_table_sums_the_papers_phases_and_judges_its_statements():
     published = read_published(PUBLISHED / "multi_sequence.csv", "Multi-sequence task")
     table = build_phases_table(rows, published)
     planners = {planner.name: planner for planner in table.planners}
-    assert list(planners) == ["ompl-projected", "atlas-rrt", "tb-rrt", "cvq-mpt", "opt-cvq-mpt"]
-    ours = planners["opt-cvq-mpt"]
-    assert ours.means["paper", "planning_time"].estimate == pytest.approx(1.5)
-    assert ours.means["all", "total_time"].estimate == pytest.approx(5 * 9.5)
-    assert planners["ompl-projected"].success.estimate == pytest.approx(6 / 7)
-    assert planners["ompl-projected"].failures == (("reach-handle: timeout", 1),)
+    assert list(planners) == ["ompl-projected", "opt-cvq-mpt"]  # those that were run, in the paper's order
+    ours = planners["opt-cvq-mpt"].measured
+    assert ours[time_metric("planning_time", "paper", "mean")].estimate == pytest.approx(1.5)
+    assert ours[time_metric("total_time", "all", "mean")].estimate == pytest.approx(5 * 9.5)
+    theirs = planners["ompl-projected"]
+    assert (theirs.n_runs, theirs.measured["solved"].estimate) == (7, pytest.approx(600 / 7))
+    assert [(count.what, count.runs) for count in theirs.failures] == [("reach-handle: timeout", 1)]
     verdicts = {(v.statement.metric, v.baseline): v for v in table.verdicts}
     planning = verdicts["planning_time", "ompl-projected"]
     assert planning.paper == pytest.approx(1 - 10.98 / 19.71) and planning.ours.n == 6
@@ -308,10 +309,27 @@ def test_the_table_sums_the_papers_phases_and_judges_its_statements():
         "confirmed"
     )
     assert verdicts["execution_time", "ompl-projected"].verdict == "less than stated"
-    assert verdicts["execution_time", "atlas-rrt"].verdict.startswith("not judged")
-    texts = render_multi_sequence(rows, "header", PUBLISHED)
-    assert "| 19.71" in texts["multi_sequence.md"] and r"\toprule" in texts["multi_sequence.tex"]
-    assert "opt-cvq-mpt,paper,planning_time,mean,ours,1.5,1.5,1.5,6" in texts["multi_sequence.csv"]
+    assert ("execution_time", "atlas-rrt") not in verdicts
+    made = render_multi_sequence(rows, published)
+    assert "| 19.71" in made.markdown and r"\toprule" in made.latex and max(map(len, made.brief)) <= 100
+    assert f"{time_metric('planning_time', 'paper', 'mean')},s,opt-cvq-mpt,ours,1.5,1.5,1.5,6" in made.csv
+
+
+def test_a_verdict_needs_tasks_that_both_solved():
+    rows = made_up("opt-cvq-mpt", 0, 0.5, 9.0) + made_up("tb-rrt", 1, 1.0, 10.0)
+    verdicts = build_phases_table(rows, ()).verdicts
+    assert len(verdicts) == 2 and all(item.verdict.startswith("not judged") for item in verdicts)
+
+
+def test_fallbacks_are_counted_by_phase_and_by_task():
+    rows = made_up("cvq-mpt", 0, 0.5, 9.0) + made_up("cvq-mpt", 1, 0.5, 9.0)
+    rows = [
+        replace(row, fallback="no weights for a door: birrt") if "door" in row.problem else row
+        for row in rows
+    ]
+    (planner,) = build_phases_table(rows, ()).planners
+    assert [(count.what, count.runs) for count in planner.fallbacks] == [("open-door", 2)]
+    assert (planner.n_fallen_back, planner.n_runs) == (2, 2)
 
 
 def test_pictures_and_recording(solution, tmp_path, monkeypatch):
@@ -342,18 +360,20 @@ def test_command_line(task, tmp_path, capsys):
     out = capsys.readouterr().out
     assert all(name in out for name in PHASES) and "solved" in out
     assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
-    assert "give --task-file or place-task" in capsys.readouterr().err
-    assert main(["reproduce", "multi-sequence", "--problems", "3"]) == 2
-    assert "--problems does not go with multi-sequence" in capsys.readouterr().err
+    assert "--task-file, one of the three" in capsys.readouterr().err
+    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--json"]) == 2
+    assert "--json does not go with a task" in capsys.readouterr().err
+    assert main(["problems", "export", "multi-sequence", "--problems", "1", "--out", str(tmp_path)]) == 0
+    assert Task.load(tmp_path / "multi-sequence-000.json").to_dict() == multi_sequence_task(0).to_dict()
 
 
 @pytest.mark.slow
 def test_reproduce_continues_where_it_was(tmp_path, capsys):
-    command = ["reproduce", "multi-sequence", "--tasks", "1", "--planners", "birrt", "--jobs", "1"]
+    command = ["reproduce", "multi-sequence", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
     command += ["--out", str(tmp_path)]
     assert main(command) == 0
     first = (tmp_path / "runs.csv").read_bytes()
     assert main(command) == 0
     assert (tmp_path / "runs.csv").read_bytes() == first
-    assert Task.load(tmp_path / "tasks" / "0.json").to_dict() == multi_sequence_task(0).to_dict()
-    assert "By phase" in (tmp_path / "multi_sequence.md").read_text()
+    assert "By phase" in (tmp_path / "table.md").read_text()
+    assert len(capsys.readouterr().out.splitlines()) <= 15

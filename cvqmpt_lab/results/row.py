@@ -1,0 +1,288 @@
+"""Result rows and their csv form.
+
+One row is one run of one planner on one problem, or on one phase of a task, with one seed. Undefined
+values are None in Python and empty in csv, never 0 or -1. A failed run is a row like any other.
+"""
+
+import csv
+import dataclasses
+import io
+import math
+import re
+import types
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.files import read_text, write_text
+
+SCHEMA = "2"
+RUNS_FILE = "runs.csv"
+FORMULA = ("=", "+", "-", "@")
+"""How a cell begins that a spreadsheet would run."""
+
+
+class FailReason(StrEnum):
+    """Why a run is no certified success."""
+
+    TIMEOUT = "timeout"
+    ITERATION_LIMIT = "iteration_limit"
+    NO_START = "no_start"
+    NO_GOAL = "no_goal"
+    INVALID_START = "invalid_start"
+    INVALID_GOAL = "invalid_goal"
+    PLANNER_ERROR = "planner_error"
+    UNCERTIFIED_SHAPE = "uncertified_shape"
+    UNCERTIFIED_START = "uncertified_start"
+    UNCERTIFIED_GOAL = "uncertified_goal"
+    UNCERTIFIED_STEP = "uncertified_step"
+    UNCERTIFIED_LIMITS = "uncertified_limits"
+    UNCERTIFIED_MANIFOLD = "uncertified_manifold"
+    UNCERTIFIED_COLLISION = "uncertified_collision"
+    NOT_TIMED = "not_timed"
+    NOT_REACHED = "not_reached"
+    WORKER_DIED = "worker_died"
+
+
+class RunKey(typing.NamedTuple):
+    """What identifies a run: a second row with the same key replaces the first."""
+
+    suite: str
+    problem: str
+    planner: str
+    seed: int
+    backend: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultRow:
+    """One run; the fields are the columns of ``runs.csv``, in this order.
+
+    Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m]. numpy
+    scalars are converted to plain Python values.
+
+    Raises
+    ------
+    InvalidInputError
+        For a value of the wrong type, NaN, text that is empty, unprintable or like a formula, a negative
+        number (other than ``min_clearance_m``), ``solved`` without ``certified``, or a run that neither is
+        solved nor has a ``fail_reason``, or both.
+    """
+
+    schema: str = SCHEMA
+    suite: str
+    problem: str
+    """Name of the problem; ``TASK/NUMBER-PHASE`` for a phase of a task."""
+    planner: str
+    sampler_used: str | None = None
+    seed: int
+    backend: str
+    solved: bool
+    """Certified success: the planner claimed a path and the independent certificate accepted it."""
+    fail_reason: FailReason | None = None
+    detail: str | None = None
+    """One line more, for people."""
+    fallback: str | None = None
+    """Why the path did not come the way the planner's name promises."""
+    certified: bool | None = None
+    """None when there was no path to certify."""
+    t_total_s: float | None = None
+    """Sum of the times below."""
+    t_goals_s: float | None = None
+    """Goal inverse kinematics, charged to every planner alike."""
+    t_encode_s: float | None = None
+    t_predict_s: float | None = None
+    t_optimize_s: float | None = None
+    t_plan_s: float | None = None
+    """Search alone, without networks."""
+    t_simplify_s: float | None = None
+    n_projections: int | None = None
+    n_newton_iterations: int | None = None
+    n_state_checks: int | None = None
+    n_iterations: int | None = None
+    vertices: int | None = None
+    path_length_raw_rad: float | None = None
+    """Before simplification."""
+    path_length_rad: float | None = None
+    execution_time_s: float | None = None
+    """Duration of the timed motion, of phases of tasks."""
+    max_violation_rad: float | None = None
+    max_violation_m: float | None = None
+    min_clearance_m: float | None = None
+    """Negative where bodies overlap."""
+    path_sha256: str | None = None
+
+    def __post_init__(self) -> None:
+        for column in _COLUMN_TYPES:
+            object.__setattr__(self, column, _checked(column, getattr(self, column)))
+        if self.solved and not self.certified:
+            raise InvalidInputError(
+                f"solved is True but certified is {self.certified}; a path without a certificate is a failure"
+            )
+        if self.solved is not (self.fail_reason is None):
+            raise InvalidInputError(
+                f"solved is {self.solved} but fail_reason is {self.fail_reason}; give one to failures only"
+            )
+
+    @property
+    def key(self) -> RunKey:
+        """The run this row belongs to."""
+        return RunKey(self.suite, self.problem, self.planner, self.seed, self.backend)
+
+    @property
+    def item(self) -> str:
+        """What the run was of: the problem, or the whole task."""
+        return self.problem.partition("/")[0]
+
+
+def _column_types() -> dict[str, tuple[type, bool]]:
+    """Map each column to its Python type and whether it may be undefined."""
+    kinds: dict[str, tuple[type, bool]] = {}
+    hints = typing.get_type_hints(ResultRow)
+    for field in dataclasses.fields(ResultRow):
+        hint = hints[field.name]
+        optional = isinstance(hint, types.UnionType)
+        kinds[field.name] = (typing.get_args(hint)[0] if optional else hint, optional)
+    return kinds
+
+
+_COLUMN_TYPES = _column_types()
+COLUMNS: tuple[str, ...] = tuple(_COLUMN_TYPES)
+_ACCEPTED: dict[type, tuple[type, ...]] = {
+    bool: (bool, np.bool_),
+    int: (int, np.integer),
+    float: (int, float, np.integer, np.floating),
+    str: (str,),
+    FailReason: (str,),
+}
+
+
+def _checked(column: str, value: object) -> object:
+    """Return `value` as the plain Python type of `column`; raise InvalidInputError when it is not one."""
+    kind, optional = _COLUMN_TYPES[column]
+    if value is None and optional:
+        return None
+    stray_bool = isinstance(value, bool | np.bool_) and kind is not bool
+    if stray_bool or not isinstance(value, _ACCEPTED[kind]):
+        suffix = " or None" if optional else ""
+        raise InvalidInputError(f"{column} is {value!r}; it must be {kind.__name__}{suffix}")
+    if kind is FailReason and value not in list(FailReason):
+        raise InvalidInputError(f"{column} is {value!r}; it must be one of {', '.join(FailReason)}")
+    plain = kind(value)
+    if kind is str and not (plain and plain.isprintable() and not plain.startswith(FORMULA)):
+        raise InvalidInputError(
+            f"{column} is {plain!r}; it must be one non-empty line that does not begin like a formula"
+        )
+    if kind in (int, float) and (math.isnan(plain) or (plain < 0 and column != "min_clearance_m")):
+        raise InvalidInputError(f"{column} is {plain}; it cannot be negative or NaN (undefined is None)")
+    if column == "schema" and plain != SCHEMA:
+        raise InvalidInputError(f"schema is {plain!r}; this version reads and writes {SCHEMA!r}")
+    return plain
+
+
+def one_line(text: str) -> str | None:
+    """Any text as a cell takes it: one printable line, quoted where it begins like a formula; None if empty."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return f"'{line}" if line.startswith(FORMULA) else line or None
+
+
+def _to_text(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _from_text(column: str, text: str) -> object:
+    kind, optional = _COLUMN_TYPES[column]
+    if text == "" and optional:
+        return None
+    if kind is bool:
+        return _checked(column, {"true": True, "false": False}.get(text, text))
+    try:
+        return _checked(column, kind(text))
+    except ValueError:
+        return _checked(column, text)  # raises, naming the text and the type
+
+
+def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
+    """Rows as csv."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    if header:
+        writer.writerow(COLUMNS)
+    writer.writerows([_to_text(getattr(row, column)) for column in COLUMNS] for row in rows)
+    return buffer.getvalue()
+
+
+def natural_key(text: str) -> tuple[tuple[str | int, ...], str]:
+    """Sort key in which ``p2`` precedes ``p10``."""
+    parts = re.split(r"([0-9]+)", text)
+    return tuple(int(part) if i % 2 else part for i, part in enumerate(parts)), text
+
+
+def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
+    """Rows in the one deterministic order: suite, problem (numbers as numbers), planner, seed, backend."""
+    return sorted(rows, key=lambda r: (r.suite, natural_key(r.problem), r.planner, r.seed, r.backend))
+
+
+def _parse_row(where: str, fields: list[str]) -> ResultRow:
+    if len(fields) != len(COLUMNS):
+        column = COLUMNS[len(fields)] if len(fields) < len(COLUMNS) else f"number {len(COLUMNS) + 1}"
+        raise RunStoreError(f"{where}, column {column}: {len(fields)} fields, expected {len(COLUMNS)}")
+    values: dict[str, typing.Any] = {}
+    for column, text in zip(COLUMNS, fields, strict=True):
+        try:
+            values[column] = _from_text(column, text)
+        except InvalidInputError as error:
+            raise RunStoreError(f"{where}, column {column}: {error}") from None
+    try:
+        return ResultRow(**values)
+    except InvalidInputError as error:
+        raise RunStoreError(f"{where}, column solved: {error}") from None
+
+
+def _parse_header(path: Path, fields: list[str]) -> None:
+    for index in range(max(len(fields), len(COLUMNS))):
+        found = fields[index] if index < len(fields) else "nothing"
+        expected = COLUMNS[index] if index < len(COLUMNS) else "nothing"
+        if found != expected:
+            raise RunStoreError(
+                f"{path}, line 1, column {index + 1}: expected {expected}, found {found}; "
+                f"the file is not a table of runs of this version (schema {SCHEMA}), use another --out"
+            )
+
+
+def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
+    """Rows of the text of a csv; empty lines are skipped. Raises as `read_rows`, naming `path`."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        if header:
+            _parse_header(path, next(reader, []))
+        return [_parse_row(f"{path}, line {reader.line_num}", fields) for fields in reader if fields]
+    except csv.Error as error:
+        raise RunStoreError(f"{path}, line {reader.line_num}, column unknown: {error}") from error
+
+
+def read_rows(path: Path) -> list[ResultRow]:
+    """Read a csv of runs; floats come back exactly as they were.
+
+    Raises
+    ------
+    InvalidInputError
+        When the file cannot be read.
+    RunStoreError
+        Naming the file, line and column that are wrong.
+    """
+    return parse_rows(Path(path), read_text(path))
+
+
+def write_rows(path: Path, rows: Iterable[ResultRow]) -> None:
+    """Write rows in the order of `sorted_rows`, replacing the file at once or not at all."""
+    write_text(path, csv_text(sorted_rows(rows)))

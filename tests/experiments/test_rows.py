@@ -1,0 +1,102 @@
+"""From solutions to rows: what is charged to a planner, and under which name."""
+
+import time
+from dataclasses import replace
+
+import pytest
+
+from cvqmpt_lab.certificate import Fault, FaultKind
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.proposal import Proposal
+from cvqmpt_lab.planning.result import Budget, PlanStatus, Timings
+from cvqmpt_lab.results.row import FailReason, read_rows
+from experiments.rows import Run, failed_rows, path_hash, result_row, rows_of
+from experiments.suites.multi_sequence import multi_sequence_task
+from experiments.suites.place_task import UnsolvableProblem
+from paper_tables.committed import committed_directories
+
+RUN = Run("suite", 0, "thinking", 0, Budget(iterations=1))
+PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s")
+
+
+def row_of(problem, timings, budget=20_000):
+    """The row of birrt after a proposer that takes its time."""
+
+    def think(query, observation):
+        time.sleep(timings.total)
+        return Proposal(query.uniform, timings)
+
+    thinking = Method.simple("thinking", predict=think)
+    solution = solve(problem, thinking, Budget(iterations=budget), seed=0, clearance=False)
+    return result_row(RUN, solution, goal_seconds=0.25), solution
+
+
+def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
+    row, solution = row_of(problem, Timings(encode=0.07, predict=0.11, optimize=0.13))
+    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (0.07, 0.11, 0.13)
+    assert row.t_plan_s == solution.plan.search_seconds < solution.plan.seconds - 0.309
+    assert row.t_total_s == pytest.approx(sum(getattr(row, part) for part in PARTS))
+    assert row.t_total_s == pytest.approx(0.25 + solution.plan.seconds + solution.simplified.seconds)
+
+
+def test_parts_that_a_planner_does_not_have_stay_empty(problem):
+    row, _ = row_of(problem, Timings(predict=0.02))
+    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (None, 0.02, None)
+    failed, solution = row_of(problem, Timings(encode=0.03), budget=1)
+    assert not failed.solved and failed.t_simplify_s is None
+    assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds) and failed.t_total_s > 0.28
+
+
+def test_search_is_all_of_a_run_without_networks(solution):
+    assert solution.plan.timings == Timings() and solution.plan.search_seconds == solution.plan.seconds
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_timings_are_seconds(value):
+    with pytest.raises(InvalidInputError, match="timing 'predict'"):
+        Timings(predict=value)
+
+
+def test_every_way_to_fail_has_its_reason():
+    """A new status of planners or fault of certificates without a reason would fail a run after its work."""
+    statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
+    faults = {FailReason(f"uncertified_{kind}") for kind in FaultKind}
+    others = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED, FailReason.WORKER_DIED}
+    assert statuses | faults | others == set(FailReason)
+
+
+def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words(solution):
+    faults = (Fault(FaultKind.STEP, "a step of 1 rad"), Fault(FaultKind.COLLISION, "in collision: a and b"))
+    refused = replace(solution, certificate=replace(solution.certificate, faults=faults))
+    row = result_row(RUN, refused, goal_seconds=0.0)
+    assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
+    assert row.detail.startswith("a step of 1 rad; in collision: a and b")
+    assert row.path_sha256 == path_hash(solution.simplified.path)
+
+
+def test_a_fallback_has_its_column_and_counts_as_solved(solution):
+    fallen_back = replace(solution, plan=replace(solution.plan, fallback="no path after 3 searches: birrt"))
+    row = result_row(RUN, fallen_back, goal_seconds=0.0)
+    assert row.solved and row.fallback == "no path after 3 searches: birrt" and row.fail_reason is None
+    assert result_row(RUN, solution, goal_seconds=0.0).fallback is None
+
+
+def test_a_problem_without_a_start_is_a_failure_of_every_planner():
+    (row,) = rows_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0)
+    assert (row.key, row.fail_reason, row.detail) == (RUN.key, "no_start", "no start grasp: =1")
+
+
+def test_a_task_that_failed_as_a_whole_still_has_all_its_rows():
+    rows = failed_rows(RUN, multi_sequence_task(0), FailReason.WORKER_DIED, "it ended")
+    assert [row.fail_reason for row in rows] == ["worker_died"] + ["not_reached"] * 4
+    assert {row.item for row in rows} == {"0"} and rows[-1].problem == "0/5-carry"
+
+
+def test_committed_rows_load_and_add_up():
+    files = [folder / "runs.csv" for folder in committed_directories() if (folder / "runs.csv").is_file()]
+    assert len(files) >= 5
+    for path in files:
+        for row in read_rows(path):
+            assert row.t_total_s == pytest.approx(sum(getattr(row, part) or 0.0 for part in PARTS))

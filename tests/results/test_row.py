@@ -1,0 +1,170 @@
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_rows import a_failure, a_row, names
+
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.results.row import COLUMNS, FailReason, one_line, read_rows, write_rows
+
+
+def test_columns_are_the_documented_ones():
+    assert ",".join(COLUMNS) == (
+        "schema,suite,problem,planner,sampler_used,seed,backend,solved,fail_reason,detail,fallback,certified,"
+        "t_total_s,t_goals_s,t_encode_s,t_predict_s,t_optimize_s,t_plan_s,t_simplify_s,"
+        "n_projections,n_newton_iterations,n_state_checks,n_iterations,vertices,path_length_raw_rad,"
+        "path_length_rad,execution_time_s,max_violation_rad,max_violation_m,min_clearance_m,path_sha256"
+    )
+
+
+def test_rows_come_back_exactly(tmp_path):
+    rng = np.random.default_rng(1)
+    rows = [a_row(f"p{i}", t_total_s=float(x)) for i, x in enumerate(rng.lognormal(size=50) * 1e-3)]
+    rows += [
+        a_failure(
+            "p50",
+            fail_reason="worker_died",
+            detail='said "no", twice',
+            min_clearance_m=-0.25,
+            n_projections=2**60,
+        ),
+        a_row("p51", t_total_s=0.1 + 0.2, sampler_used="μ, σ", path_sha256="0" * 64, vertices=0),
+    ]
+    write_rows(tmp_path / "rows.csv", rows)
+    assert read_rows(tmp_path / "rows.csv") == rows
+
+
+def test_numpy_scalars_become_python_values(tmp_path):
+    row = a_row(seed=np.int64(3), solved=np.bool_(True), t_total_s=np.float64(0.1), vertices=np.int32(4))
+    assert [type(v) for v in (row.seed, row.solved, row.t_total_s, row.vertices)] == [int, bool, float, int]
+    write_rows(tmp_path / "rows.csv", [row])
+    assert "np." not in (tmp_path / "rows.csv").read_text()
+
+
+def test_undefined_is_empty_and_booleans_are_words(tmp_path):
+    write_rows(tmp_path / "rows.csv", [a_failure(t_total_s=10.0)])
+    fields = (tmp_path / "rows.csv").read_text().splitlines()[1].split(",")
+    named = dict(zip(COLUMNS, fields, strict=True))
+    assert named["vertices"] == named["path_length_rad"] == named["certified"] == ""
+    assert (named["solved"], named["t_total_s"]) == ("false", "10.0")
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"path_length_rad": -1.0}, "path_length_rad"),
+        ({"t_total_s": float("nan")}, "t_total_s"),
+        ({"vertices": 3.0}, "vertices"),
+        ({"vertices": True}, "vertices"),
+        ({"detail": ""}, "detail"),
+        ({"detail": "two\nlines"}, "detail"),
+        ({"suite": "=1+1"}, "suite is '=1[+]1'.*formula"),
+        ({"planner": "@x"}, "planner"),
+        ({"solved": False, "fail_reason": "bored"}, "fail_reason is 'bored'.*timeout, iteration_limit"),
+        ({"solved": False}, "solved is False but fail_reason is None"),
+        ({"fail_reason": "timeout"}, "solved is True but fail_reason is timeout"),
+        ({"seed": None}, "seed"),
+        ({"solved": 1}, "solved"),
+        ({"certified": False}, "certified"),
+        ({"schema": "0"}, "schema"),
+    ],
+)
+def test_bad_values_are_refused_by_name(values, word):
+    with pytest.raises(InvalidInputError, match=word):
+        a_row(**values)
+
+
+def test_reasons_are_typed_and_come_back(tmp_path):
+    rows = [a_failure(f"p{i:02}", fail_reason=reason) for i, reason in enumerate(FailReason)]
+    write_rows(tmp_path / "rows.csv", rows)
+    assert [row.fail_reason for row in read_rows(tmp_path / "rows.csv")] == list(FailReason)
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [("two\n lines\x1b", "two lines"), ("=1+1", "'=1+1"), ("-3 off", "'-3 off"), (" \t", None), ("ok", "ok")],
+)
+def test_any_text_becomes_a_cell_that_no_spreadsheet_runs(text, cell):
+    assert one_line(text) == cell
+    assert a_row(detail=one_line(text)).detail == cell
+
+
+def test_order_is_deterministic_and_counts_numbers(tmp_path):
+    rows = [a_row(p, planner=m, seed=s) for p in ("p10", "p2", "p02") for m in ("b", "a") for s in (1, 0)]
+    write_rows(tmp_path / "one.csv", rows)
+    write_rows(tmp_path / "two.csv", rows[::-1])
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
+    keys = [(r.problem, r.planner, r.seed) for r in read_rows(tmp_path / "one.csv")]
+    assert keys[:4] == [("p02", "a", 0), ("p02", "a", 1), ("p02", "b", 0), ("p02", "b", 1)]
+    assert [k[0] for k in keys[::4]] == ["p02", "p2", "p10"]
+
+
+def edit(path, column, text, line=2):
+    lines = path.read_text().splitlines()
+    fields = lines[line - 1].split(",")
+    fields[COLUMNS.index(column)] = text
+    lines[line - 1] = ",".join(fields)
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("column", "text"),
+    [
+        ("seed", "one"),
+        ("t_total_s", "fast"),
+        ("t_total_s", "nan"),
+        ("vertices", "-1"),
+        ("solved", "True"),
+        ("schema", "1"),
+    ],
+)
+def test_a_bad_field_is_named_with_file_line_and_column(tmp_path, column, text):
+    path = tmp_path / "rows.csv"
+    write_rows(path, [a_row("p1", t_total_s=1.0), a_row("p2", t_total_s=1.0)])
+    edit(path, column, text, line=3)
+    with pytest.raises(RunStoreError, match=f"rows.csv, line 3, column {column}") as caught:
+        read_rows(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_foreign_header_is_named(tmp_path):
+    path = tmp_path / "rows.csv"
+    write_rows(path, [a_row()])
+    path.write_text(path.read_text().replace("backend", "engine"))
+    with pytest.raises(RunStoreError, match="line 1, column 7: expected backend, found engine"):
+        read_rows(path)
+    path.write_text("")
+    with pytest.raises(RunStoreError, match="expected schema, found nothing"):
+        read_rows(path)
+
+
+def test_unreadable_files_are_named(tmp_path):
+    with pytest.raises(InvalidInputError, match="cannot read"):
+        read_rows(tmp_path / "absent.csv")
+    (tmp_path / "rows.csv").write_bytes(b"\xff\xfe")
+    with pytest.raises(InvalidInputError, match="UTF-8"):
+        read_rows(tmp_path / "rows.csv")
+    write_rows(tmp_path / "short.csv", [a_row()])
+    (tmp_path / "short.csv").write_text((tmp_path / "short.csv").read_text()[:-3])
+    with pytest.raises(RunStoreError, match="line 2, column min_clearance_m: 29 fields, expected 31"):
+        read_rows(tmp_path / "short.csv")
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
+    path = tmp_path / "rows.csv"
+    write_rows(path, [a_row()])
+    before = path.read_bytes()
+
+    def refuse(self, target):
+        raise PermissionError(13, "denied")
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(InvalidInputError, match="cannot write"):
+        write_rows(path, [a_row("p9")])
+    assert path.read_bytes() == before and names(tmp_path) == ["rows.csv"]
+
+
+def test_rows_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        a_row().solved = False

@@ -1,0 +1,193 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from made_rows import CONFIGURATION, a_failure, a_row, names
+
+from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.results.provenance import ProvenanceFile, weights_in
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
+
+
+def test_store_writes_rows_and_provenance(tmp_path):
+    with RunStore.open(tmp_path / "deep" / "runs", CONFIGURATION, {"command": ("a", "b")}) as store:
+        store.append([a_row("p2")])
+        store.append([a_failure("p1")])
+        assert store.done() == {("place", "p1", "birrt", 0, "compiled"), a_row("p2").key}
+    directory = tmp_path / "deep" / "runs"
+    assert names(directory) == ["provenance.json", RUNS_FILE]
+    assert [row.problem for row in read_rows(directory / RUNS_FILE)] == ["p1", "p2"]
+    record = json.loads((directory / "provenance.json").read_text())
+    assert record["configuration"] == CONFIGURATION and record["command"] == ["a", "b"]
+
+
+def test_store_continues_and_replaces_repeated_keys(tmp_path):
+    with RunStore.open(tmp_path, CONFIGURATION) as store:
+        store.append([a_failure("p1")])
+    with RunStore.open(tmp_path, dict(reversed(CONFIGURATION.items())), {"git_commit": "abc"}) as store:
+        assert len(store.done()) == 1
+        store.append([a_row("p1", t_total_s=0.5)])
+        store.append([a_row("p0")])
+    assert [(r.problem, r.solved) for r in read_rows(tmp_path / RUNS_FILE)] == [("p0", True), ("p1", True)]
+    assert ProvenanceFile(tmp_path).read()["continued"] == [{"git_commit": "abc"}]
+
+
+def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):
+    phases = [a_row(f"3/{k}-{name}") for k, name in enumerate(("reach", "carry"), 1)]
+    store = RunStore.open(tmp_path, CONFIGURATION)
+    store.append(phases)
+    assert store.done() == {("place", "3", "birrt", 0, "compiled")}
+    data = (tmp_path / PARTIAL_FILE).read_bytes()
+    store.finish()
+    (tmp_path / RUNS_FILE).unlink()
+    (tmp_path / PARTIAL_FILE).write_bytes(data[: data.index(b"\n") + 1])  # cut behind the first phase
+    with RunStore.open(tmp_path, CONFIGURATION) as again:
+        assert again.rows() == [] and again.done() == frozenset()
+
+
+def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(tmp_path):
+    with RunStore.open(tmp_path, CONFIGURATION, {"weights": {}}) as store:
+        store.append([a_row("p1")])
+    with RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "aaa"}}) as store:
+        store.append([a_row("p1", "mpnet")])
+    assert weights_in(ProvenanceFile(tmp_path).read()) == {"mpnet": "aaa"}
+    with pytest.raises(RunStoreError, match=r'weights.mpnet was "aaa", now "bbb".*--out'):
+        RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "bbb"}})
+    RunStore.open(tmp_path, CONFIGURATION, {"weights": {"vq_mpt": "ccc"}}).finish()
+    RunStore.open(tmp_path, CONFIGURATION, {"weights": {}}).finish()
+
+
+def test_looking_at_a_finished_store_changes_nothing(tmp_path):
+    with RunStore.open(tmp_path, CONFIGURATION, {"git_commit": "abc"}) as store:
+        store.append([a_row()])
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with RunStore.open(tmp_path, CONFIGURATION, {"git_commit": "def"}) as store:
+        assert store.rows() == [a_row()]
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
+def test_an_interrupted_block_keeps_its_rows(tmp_path, interruption):
+    with pytest.raises(interruption), RunStore.open(tmp_path, CONFIGURATION) as store:
+        store.append([a_row("p1")])
+        raise interruption
+    assert read_rows(tmp_path / RUNS_FILE) == [a_row("p1")]
+    assert not (tmp_path / PARTIAL_FILE).exists()
+
+
+def test_a_killed_process_loses_no_appended_row(tmp_path):
+    script = (
+        "import os, signal, sys; from pathlib import Path; sys.path.insert(0, sys.argv[2])\n"
+        "from cvqmpt_lab.results.store import RunStore; from made_rows import CONFIGURATION, a_row\n"
+        "store = RunStore.open(Path(sys.argv[1]), CONFIGURATION)\n"
+        "for i in range(3): store.append([a_row(f'p{i}', t_total_s=0.1 * i)])\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path), str(Path(__file__).parent)]
+    assert subprocess.run(command, check=False).returncode == -9
+    with RunStore.open(tmp_path, CONFIGURATION) as store:
+        assert store.rows() == [a_row(f"p{i}", t_total_s=0.1 * i) for i in range(3)]
+
+
+def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
+    store = RunStore.open(tmp_path, CONFIGURATION)
+    rows = [a_row("p1", t_total_s=1.25), a_row("p2", sampler_used='μμμμμμμ, "b"', t_total_s=1.25)]
+    for row in rows:
+        store.append([row])
+    data = (tmp_path / PARTIAL_FILE).read_bytes()
+    store.finish()
+    first = data.index(b"\n\n") + 2
+    for cut in [*range(0, len(data), 3), first - 1, first, len(data)]:
+        (tmp_path / RUNS_FILE).unlink(missing_ok=True)
+        (tmp_path / PARTIAL_FILE).write_bytes(data[:cut])
+        with RunStore.open(tmp_path, CONFIGURATION) as again:
+            assert again.rows() == rows[: 2 if cut == len(data) else int(cut >= first)]
+
+
+def test_a_damaged_line_that_is_not_the_last_is_an_error(tmp_path):
+    with RunStore.open(tmp_path, CONFIGURATION):
+        pass
+    (tmp_path / PARTIAL_FILE).write_text("1,place,rubbish\n\n")
+    with pytest.raises(RunStoreError, match=r"runs\.partial\.csv, line 1"):
+        RunStore.open(tmp_path, CONFIGURATION)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"cutoff_s": 20.0}, "cutoff_s was 10.0, now 20.0"),
+        ({"tolerance": {"rad": 0.2}}, "tolerance.rad was 0.1, now 0.2"),
+        ({"range": 2}, "range was null, now 2"),
+    ],
+)
+def test_another_configuration_is_refused_by_setting(tmp_path, change, words):
+    with RunStore.open(tmp_path, CONFIGURATION) as store:
+        store.append([a_row()])
+    with pytest.raises(RunStoreError, match=words) as caught:
+        RunStore.open(tmp_path, {**CONFIGURATION, **change})
+    assert "--out" in str(caught.value) and "suite" not in str(caught.value)
+    RunStore.open(tmp_path, {**CONFIGURATION, "cutoff_s": 10}).finish()  # equal by value, and not left locked
+
+
+def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
+    write_rows(tmp_path / RUNS_FILE, [a_row()])
+    with pytest.raises(RunStoreError, match=r"no provenance\.json.*--out"):
+        RunStore.open(tmp_path, CONFIGURATION)
+    for broken in ("not json", "[]", '{"configuration": 3}', "[" * 100_000):
+        (tmp_path / "provenance.json").write_text(broken)
+        with pytest.raises(RunStoreError, match=r"provenance\.json"):
+            RunStore.open(tmp_path, CONFIGURATION)
+    (tmp_path / "provenance.json").write_text(json.dumps({"configuration": CONFIGURATION}))
+    (tmp_path / RUNS_FILE).write_text("problem,time\n1,2\n")
+    with pytest.raises(RunStoreError, match=r"line 1, column 1: expected schema, found problem"):
+        RunStore.open(tmp_path, CONFIGURATION)
+
+
+def test_directories_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(RunStoreError, match="--out"):
+            RunStore.open(path, CONFIGURATION)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(RunStoreError, match="read-only"):
+        RunStore.open(tmp_path / "sealed", CONFIGURATION)
+
+
+def test_configuration_must_be_json(tmp_path):
+    for value in (float("inf"), object()):
+        with pytest.raises(RunStoreError, match="configuration"):
+            RunStore.open(tmp_path / "new", {"cutoff_s": value})
+    assert names(tmp_path / "new") == []
+
+
+def test_two_runs_cannot_share_a_directory(tmp_path):
+    with RunStore.open(tmp_path, CONFIGURATION), pytest.raises(RunStoreError, match="in use"):
+        RunStore.open(tmp_path, CONFIGURATION)
+    RunStore.open(tmp_path, CONFIGURATION).finish()
+
+
+def test_a_finished_store_takes_no_rows(tmp_path):
+    store = RunStore.open(tmp_path, CONFIGURATION)
+    store.finish()
+    store.finish()
+    with pytest.raises(RunStoreError, match="finished"):
+        store.append([a_row()])
+
+
+def test_a_full_disk_is_an_error_and_leaves_whole_lines(tmp_path, monkeypatch):
+    store = RunStore.open(tmp_path, CONFIGURATION)
+    store.append([a_row("p1")])
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(RunStoreError, match="No space left"):
+            store.append([a_row("p2")])
+    store.finish()
+    assert {row.problem for row in read_rows(tmp_path / RUNS_FILE)} == {"p1", "p2"}
