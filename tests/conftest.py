@@ -1,5 +1,6 @@
 """Objects that several test files share; each is made once and must not be changed."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,12 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, place_problem
 
 DATA = Path(__file__).parent / "data"
+
+
+def pytest_runtest_setup():
+    """Let torch, once it is imported, use one thread: for small networks more of them wait for each other."""
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 @pytest.fixture(scope="session")

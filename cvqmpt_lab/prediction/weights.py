@@ -6,7 +6,7 @@ from pathlib import Path
 import cvqmpt_lab
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
 from cvqmpt_lab.models.robot_signature import OtherRobotError, RobotSignature
 from cvqmpt_lab.models.weights_folder import checkpoint_folder, read_description
 from cvqmpt_lab.prediction.configurations import robot_signature
@@ -54,11 +54,6 @@ def resolve_model(
 def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> Checkpoint:
     """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `load_checkpoint`."""
     return load_checkpoint(resolve_model(model, Checkpoint.architecture, robot), robot_signature(robot))
-
-
-def load_mpnet_for(robot: Robot, model: str | Path | None = None) -> MPNetCheckpoint:
-    """MPNet, likewise."""
-    return load_mpnet(resolve_model(model, MPNetCheckpoint.architecture, robot), robot_signature(robot))
 
 
 @lru_cache(maxsize=8)

@@ -23,7 +23,7 @@ from cvqmpt_lab.prediction import weights
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.prediction.settings import PredictorSettings
-from cvqmpt_lab.prediction.weights import WEIGHTS, load_mpnet_for, load_vq_mpt, resolve_model
+from cvqmpt_lab.prediction.weights import WEIGHTS, load_vq_mpt, resolve_model
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -71,7 +71,6 @@ def test_info_reads_mpnet_too(panda, tmp_path, capsys):
     found = info(capsys, "--model", tmp_path)
     assert found["architecture"] == "mpnet" and found["model"]["n_points"] == 16
     assert "mpnet.safetensors" in found["parts"]
-    assert load_mpnet_for(panda, tmp_path).network.config == network.config
 
 
 def test_published_folders_are_converted_and_predict(panda, published, tmp_path, capsys):  # noqa: F811
@@ -140,7 +139,7 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
     assert resolve_model(tmp_path / "run") == tmp_path / "run" / "model"
     assert load_vq_mpt(panda, tmp_path / "run" / "model").config == checkpoint.config
     with pytest.raises(InvalidInputError, match="architecture is 'vq-mpt'; expected 'mpnet'"):
-        load_mpnet_for(panda, tmp_path / "run")
+        resolve_model(tmp_path / "run", "mpnet")
     with pytest.raises(OtherRobotError, match=r"weights are for robot 'panda', not .*: 7 joints, not 4"):
         load_vq_mpt(slider_arm, tmp_path / "run")
     with pytest.raises(

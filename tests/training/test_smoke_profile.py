@@ -12,9 +12,9 @@ from cvqmpt_lab.robot.loading import panda
 
 def test_from_scenes_to_a_prediction(tmp_path):
     data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
-    few = ["--scenes", "24", "--paths-per-scene", "4", "--seed", "9"]  # two validation scenes
+    few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]  # the first one validates
     assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data)]) == 0
-    common = ["--profile", "smoke", "--data", str(data), "--device", "cpu"]
+    common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
     assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
     assert main(["train", "stage2", *common, "--dictionary", str(stage1), "--out", str(stage2)]) == 0
 
@@ -26,5 +26,5 @@ def test_from_scenes_to_a_prediction(tmp_path):
     start, goal = robot.random_configurations(rng, 2)
     prediction = predictor.predict(cloud, start, goal[None], rng)
     mixture = predictor.mixture(prediction)
-    assert len(prediction.sequences[0]) == 8
+    assert len(prediction.sequences[0][0].codes) > 0
     assert np.isfinite(mixture.sample(rng, 100)).all()
