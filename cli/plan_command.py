@@ -125,7 +125,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
         )
     robot = _robot_source(args)
     if args.problem_file is not None:
-        return PlanningProblem.load(args.problem_file, robot)
+        return PlanningProblem.load(args.problem_file, robot=robot)
     if robot:
         raise InvalidInputError("--urdf goes with --problem-file: other problems are for their own robot")
     return Task.load(args.task_file) if args.task_file else suite_named(args.suite).solvable(args.problem)

@@ -6,23 +6,19 @@ whose form says how a T stands in json (see `forms`). A field "_comment" may sta
 
 import contextlib
 import dataclasses
-import json
 import math
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from numbers import Integral, Real
-from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest, shown
-from cvqmpt_lab.files import read_json_object, write_text
 
 COMMENT = "_comment"
-LINE = 110  # characters of json that still go on one line
 SCALARS: Mapping[Any, type] = {float: Real, int: Integral, str: str, bool: bool}
 UNIONS = (types.UnionType, typing.Union)  # understood with None only
 
@@ -100,7 +96,7 @@ class Checked:
     def __post_init__(self) -> None:
         name = getattr(self, "name", None)
         where = type(self).__name__ + (f" {shown(name)}: " if isinstance(name, str) else "")
-        for field, kind in _kinds_of(self).items():
+        for field, kind in field_kinds(type(self)).items():
             object.__setattr__(self, field, from_plain(kind, getattr(self, field), at(where, field)))
 
     def __eq__(self, other: object) -> bool:
@@ -110,34 +106,7 @@ class Checked:
         return hash(self._content())
 
     def _content(self) -> Any:
-        return _content([getattr(self, field) for field in _kinds_of(self)])
-
-
-def load(kind: Any, path: Path | str, what: str) -> Any:
-    """Read a value from a json file; errors name the file and the field."""
-    data = read_json_object(Path(path), what)
-    with located(f"{path}"):
-        return from_plain(kind, data)
-
-
-def save(plain: Any, path: Path | str) -> None:
-    """Write json for people, whole or not at all."""
-    write_text(Path(path), to_text(plain) + "\n")
-
-
-def to_text(plain: Any, indent: int = 0) -> str:
-    """Json text: rows of numbers, and whatever else fits, on one line."""
-    flat = json.dumps(plain, allow_nan=False)
-    inside = list(plain.values()) if isinstance(plain, dict) else plain
-    deep = isinstance(inside, list) and (
-        isinstance(plain, dict) or any(isinstance(x, list | dict) for x in inside)
-    )
-    if not deep or len(flat) + indent <= LINE:
-        return flat
-    heads = [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(inside)
-    lines = [head + to_text(item, indent + 1) for head, item in zip(heads, inside, strict=True)]
-    brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
-    return brackets[0] + pad + f",{pad}".join(lines) + pad[:-1] + brackets[1]
+        return _content([getattr(self, field) for field in field_kinds(type(self))])
 
 
 @contextlib.contextmanager
@@ -150,6 +119,15 @@ def located(where: str) -> Iterator[None]:
             raise
         kind = type(error) if isinstance(error, InvalidInputError) else InvalidInputError
         raise kind(f"{where}: {error}") from error
+
+
+def unique(names: Iterable[str], where: str) -> None:
+    """Refuse a name that occurs twice."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise InvalidInputError(f"{where}: {shown(name)} occurs twice; names must be unique")
+        seen.add(name)
 
 
 def at(where: str, field: str) -> str:
@@ -165,9 +143,13 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
     return value
 
 
-@cache
 def field_kinds(kind: Any) -> dict[str, Any]:
     """The annotation of each field of a dataclass."""
+    return _field_kinds(kind)
+
+
+@cache
+def _field_kinds(kind: Any) -> dict[str, Any]:
     hints = typing.get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
 
@@ -182,11 +164,6 @@ def field_defaults(kind: Any) -> dict[str, Any]:
         for name, (default, make) in given.items()
         if default is not missing or make is not missing
     }
-
-
-def _kinds_of(value: Any) -> dict[str, Any]:
-    kind: Any = type(value)
-    return field_kinds(kind)
 
 
 def _dataclass(kind: Any, value: Any, where: str, complete: bool) -> Any:

@@ -8,7 +8,7 @@ import difflib
 import reprlib
 from collections.abc import Iterable
 
-LISTED = 60  # choices that a message lists; of more it shows the nearest
+LISTED = 60  # choices that a message lists at most
 LONGEST = 120  # characters of a value that a message shows
 
 
@@ -23,8 +23,9 @@ def shown(value: object) -> str:
 
 def nearest(value: object, choices: Iterable[object]) -> str:
     """The choice that was perhaps meant, as "; did you mean 'x'?", or nothing."""
-    found = difflib.get_close_matches(str(value)[:LONGEST], [str(choice) for choice in choices], 1)
-    return f"; did you mean {found[0]!r}?" if found else ""
+    plain = {str(choice).lower(): str(choice) for choice in choices}
+    found = difflib.get_close_matches(str(value)[:LONGEST].lower(), plain, 1)
+    return f"; did you mean {plain[found[0]]!r}?" if found else ""
 
 
 class CvqmptError(Exception):

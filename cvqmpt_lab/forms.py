@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Real
+from types import GenericAlias
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
@@ -113,6 +114,28 @@ class Tagged:
             properties = {self.key: {"const": name}, **plain["properties"]}
             choices.append({**plain, "properties": properties, "required": [self.key, *plain["required"]]})
         return {"oneOf": choices}
+
+
+@dataclass(frozen=True)
+class OneOrMore:
+    """Several values of a kind; json may hold a single one without the list."""
+
+    kind: Any
+
+    def read(self, value: Any, where: str) -> tuple:
+        """A tuple."""
+        if isinstance(value, Mapping):
+            return (from_plain(self.kind, value, where),)
+        return from_plain(GenericAlias(tuple, (self.kind, ...)), value, where)
+
+    def write(self, value: tuple) -> list:
+        """A list."""
+        return to_plain(value, GenericAlias(tuple, (self.kind, ...)))
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """One, or an array."""
+        one = of(self.kind)
+        return {"anyOf": [one, {"type": "array", "items": one}]}
 
 
 def _is_name(text: str) -> bool:

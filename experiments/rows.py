@@ -14,8 +14,9 @@ from cvqmpt_lab.planning.result import Budget, Path
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.phase_name import phase_problem
 from cvqmpt_lab.results.row import FailReason, ResultRow, RunKey, one_line
+from cvqmpt_lab.tasks.phases import PlannedPhase
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
-from cvqmpt_lab.tasks.task import PlannedPhase, Task
+from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
 
 Item = PlanningProblem | UnsolvableProblem | Task

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec import Checked, from_plain, load, save, to_plain, to_text
+from cvqmpt_lab.codec import Checked, from_plain, to_plain
+from cvqmpt_lab.documents import Document, to_text
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.forms import Array, Length, Name, Tagged
 from cvqmpt_lab.poses import Pose, pose
@@ -35,7 +36,8 @@ class Thing(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class Heap(Checked):
+class Heap(Document):
+    SCHEMA = "heap/1"
     things: tuple[Thing, ...]
 
 
@@ -58,8 +60,8 @@ def test_everything_survives_a_round_trip_through_a_file(tmp_path):
             Thing("b", Mesh(np.array([[0.1, 0.2, 1.0 / 3.0]]))),
         )
     )
-    save(to_plain(heap), tmp_path / "heap.json")
-    again = load(Heap, tmp_path / "heap.json", "heap")
+    heap.save(tmp_path / "heap.json")
+    again = Heap.load(tmp_path / "heap.json")
     assert again == heap and hash(again) == hash(heap)
     np.testing.assert_array_equal(again.things[0].place, tilted)
     assert [path.name for path in tmp_path.iterdir()] == ["heap.json"]
@@ -181,19 +183,21 @@ def test_a_comment_may_stand_in_every_object():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"things": [], "things": []}', "'things' occurs twice"),
-        ('{"things": NaN}', "heap.json: things is nan; it must be a list"),
+        ('{"schema": "heap/1", "things": [], "things": []}', "'things' occurs twice"),
+        ('{"schema": "heap/1", "things": NaN}', "heap.json: things is nan; it must be a list"),
         ('{"things": ' + "[" * 100_000, "heap.json is not json"),
         ('{"things": ' + "1" * 5000 + "}", "heap.json is not json"),
         ("[]", "heap.json must hold one json object"),
-        ('{"things": 5}', "heap.json: things is 5; it must be a list"),
+        ('{"things": []}', "heap.json: schema is None; this version reads 'heap/1'"),
+        ('{"schema": [], "things": []}', "heap.json: schema is []; this version"),
+        ('{"schema": "heap/1", "things": 5}', "heap.json: things is 5; it must be a list"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_named_in_one_line(tmp_path, text, message):
     path = tmp_path / "heap.json"
     path.write_text(text)
     with pytest.raises(InvalidInputError) as caught:
-        load(Heap, path, "heap")
+        Heap.load(path)
     assert message in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
 
 

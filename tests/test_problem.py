@@ -3,7 +3,9 @@
 import copy
 import hashlib
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +14,13 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError, InvalidProblemErro
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget, PlanStatus
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-from cvqmpt_lab.scene.scene import SceneObject, pose
+from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from experiments.suites.place_task import place_problem
+
+DATA = Path(__file__).parent / "data"
 
 
 @pytest.fixture(scope="module")
@@ -60,19 +65,24 @@ def test_json_round_trip_is_exact(data, tmp_path):
     assert again.attachments[0].shape == problem.attachments[0].shape and again.scene == problem.scene
 
 
+def dotted(path):
+    """A way into json as messages write it."""
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
+
+
 @pytest.mark.parametrize(
     "path",
     [
-        *[("name",), ("robot",), ("scene",), ("start",), ("schema",)],
+        *[("name",), ("robot",), ("scene",)],
         *[("constraint", 0, field) for field in ("T0_w", "Tw_e", "Bw")],
         *[("goal_region", field) for field in ("T0_w", "Tw_e", "Bw")],
         *[("attachments", 0, field) for field in ("name", "shape", "T_hand_object")],
         *[("scene", "objects"), ("scene", "objects", 3, "shape"), ("scene", "objects", 3, "T_world_object")],
     ],
-    ids=lambda path: path[-1] if len(path) == 1 else f"{path[0]}-{path[-1]}",
+    ids=dotted,
 )
 def test_missing_fields_are_named(data, path):
-    refused(f"'{path[-1]}'", changed(data, path, None))
+    refused(rf"^{re.escape(dotted(path))} is missing; fields: ", changed(data, path, None))
 
 
 @pytest.mark.parametrize("field", ["attachments", "constraint", "goals", "goal_region"])
@@ -81,33 +91,70 @@ def test_optional_fields_may_be_missing(data, field):
 
 
 @pytest.mark.parametrize(
+    ("path", "misspelt"),
+    [
+        (("constraint",), "constraints"),
+        (("attachments",), "attachment"),
+        (("goals",), "goal"),
+        (("goal_region",), "goal_regoin"),
+        (("constraint", 0, "Bw"), "BW"),
+        (("scene", "articulations"), "articulation"),
+        (("scene", "objects", 3, "shape"), "sahpe"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, misspelt):
+    """The first two planned without the constraint, and without the can, and were certified."""
+    *way, field = path
+    wrong = changed(data, (*way, misspelt), 0)
+    refused(rf"^{re.escape(dotted((*way, misspelt)))} is unknown; did you mean '{field}'\?", wrong)
+
+
+def test_a_misspelt_base_does_not_make_a_chain_a_region(data):
+    refused(
+        r"^constraint\[0\].bass is unknown; did you mean 'base'\?",
+        changed(data, ("constraint", 0, "bass"), "hand"),
+    )
+
+
+@pytest.mark.parametrize(
     ("path", "value", "pattern"),
     [
-        (("schema",), "cvqmpt-problem/2", "'schema' is 'cvqmpt-problem/2'.*reads 'cvqmpt-problem/1'"),
-        (("robot",), "panda", "'robot' must be a json object, not str"),
-        (("robot",), {"name": "ur5"}, "robot 'ur5'"),
-        (("scene",), [], "'scene' must be a json object"),
-        (("scene", "objects", 3, "T_world_object"), [[1]], "T_world_object"),
-        (("start",), "home", "'start' must hold numbers"),
-        (("start",), [0.0] * 6, r"start has shape \(6,\)"),
+        (("schema",), "cvqmpt-problem/2", "schema is 'cvqmpt-problem/2'.*reads 'cvqmpt-problem/1'"),
+        (("robot",), "panda", "robot is 'panda'; it must be an object"),
+        (("robot",), 0.5, "robot is 0.5; it must be an object"),
+        (("robot",), {"name": "ur5-misspelt"}, "robot.*'ur5-misspelt'"),
+        (("scene",), [], r"scene is \[\]; it must be an object"),
+        (("scene", "objects", 3, "T_world_object"), [[1]], r"scene.objects\[3\].T_world_object has shape"),
+        (("start",), "home", "start is 'home'; it must be numbers"),
+        (("start", 0), "0.5", r"start is \['0.5'"),
+        (("start", 0), 10**400, "start is .1000"),
+        (("start",), [0.0] * 6, r"start has shape \(6,\), robot panda needs \(7,\)"),
         (("start",), 5, "start has shape"),
-        (("goals",), [["a"] * 7], "'goals' must hold numbers"),
-        (("goals",), [[0.0] * 7, [0.0] * 6], "'goals' must hold numbers"),
-        (("constraint",), [5], "'constraint' must be a json object"),
-        (("constraint", 0, "Bw"), [[0, 1]] * 5, "'Bw'"),
-        (("goal_region",), [], "'goal_region' must be a json object"),
-        (("attachments",), ["can"], "'attachments' must be a json object"),
-        (("attachments", 0, "T_hand_object"), [1], "attachment is malformed"),
-        (("attachments", 0, "shape"), {"type": "cone"}, "'cone'"),
-        pytest.param(("goals",), [[0.0] * 6], "goals"),
-        pytest.param(("goals",), [[0.0, 0.0, 0.0, -1.0]] * 7, "goals"),
-        pytest.param(("constraint",), 5, "constraint"),
-        pytest.param(("constraint",), {}, "constraint"),
-        pytest.param(("attachments",), 5, "attachments"),
-        pytest.param(("attachments", 0, "T_hand_object", 0, 3), np.nan, "T_hand_object"),
-        pytest.param(("attachments", 0, "T_hand_object", 0, 0), 7.0, "T_hand_object"),
-        pytest.param(("attachments", 0, "name"), 5, "name"),
-        pytest.param(("name",), ["x"], "name"),
+        (("goals",), [["a"] * 7], "goals is .*it must be numbers"),
+        (("goals",), [[0.0] * 7, [0.0] * 6], "goals is .*it must be numbers"),
+        (("goals",), [[0.0] * 6], r"goals has shape \(1, 6\), robot panda needs \(k, 7\)"),
+        (("goals",), [[0.0, 0.0, 0.0, -1.0]] * 7, "goals has shape"),
+        (("constraint",), [5], r"constraint\[0\] is 5; it must be an object with T0_w"),
+        (("constraint",), 5, "constraint is 5; it must be a list"),
+        (("constraint",), {}, "constraint.T0_w is missing"),
+        (("constraint", 0, "Bw"), [[0, 1]] * 5, r"constraint\[0\].Bw has shape \(5, 2\); it must be 6 rows"),
+        (("goal_region",), [], r"goal_region is \[\]; it must be an object"),
+        (("attachments",), ["can"], r"attachments\[0\] is 'can'; it must be an object"),
+        (("attachments",), 5, "attachments is 5; it must be a list"),
+        (("attachments", 0, "T_hand_object"), [1], r"attachments\[0\].T_hand_object has shape \(1,\)"),
+        (
+            ("attachments", 0, "T_hand_object"),
+            np.diag([1.0, 1, 1, 5]).tolist(),
+            "last row is .*5.0.*not 0 0 0 1",
+        ),
+        (("attachments", 0, "T_hand_object"), np.diag([1.0, 1, -1, 1]).tolist(), "rotation part is mirrored"),
+        (("attachments", 0, "shape"), {"type": "cone"}, r"unknown attachments\[0\].shape.type 'cone'"),
+        (("attachments", 0, "name"), 5, r"attachments\[0\].name is 5"),
+        (("name",), ["x"], r"name is \['x'\]"),
+        (("name",), "two\nlines", r"name is 'two\\nlines'; it must be 1 to 200 printable"),
+        (("name",), "\x1b[31mred", "name is '.x1b.31mred'; it must be 1 to 200 printable"),
+        (("name",), "x" * 400_000, "name is 'xxx.*printable"),
     ],
 )
 def test_malformed_fields_are_named(data, path, value, pattern):
@@ -115,13 +162,17 @@ def test_malformed_fields_are_named(data, path, value, pattern):
 
 
 def test_what_is_no_problem_at_all():
-    refused("json object, not list", [])
-    refused("'schema' is None", {})
+    refused(r"this is \[\]; it must be an object with schema, name, robot", [])
+    refused("schema is None", {})
 
 
 def test_nan_and_infinite_entries_are_named(data):
-    refused("start has a NaN or infinite entry at joint 2", changed(data, ("start", 2), np.nan))
-    refused("goal 1 has a NaN or infinite entry at joint 6", changed(data, ("goals", 1, 6), -np.inf))
+    refused(r"start\[2\] is NaN or infinite", changed(data, ("start", 2), np.nan))
+    refused(r"goals\[1, 6\] is NaN or infinite", changed(data, ("goals", 1, 6), -np.inf))
+
+
+def test_what_the_hand_carries_has_names_of_its_own(data):
+    refused("'carried_can' occurs twice", changed(data, ("attachments",), data["attachments"] * 2))
 
 
 def test_joints_outside_their_limits_are_named(data):
@@ -134,11 +185,50 @@ def test_a_problem_needs_some_goal(data):
     refused("'goals'.*or a 'goal_region'", neither, InvalidProblemError)
 
 
+def test_goals_that_contradict_the_goal_region_are_refused(problem):
+    """A changed region beside goals that were sampled from the old one had no effect."""
+    moved = replace(problem.goal_region, T0_w=problem.goal_region.T0_w @ pose((0.1, 0.0, 0.0)))
+    with pytest.raises(
+        InvalidProblemError, match=r"goal 0 lies outside 'goal_region' by 0\.\d+.*take out 'goals'"
+    ):
+        check_problem(replace(problem, goal_region=moved))
+
+
+def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constraint(data):
+    start = {
+        "pose": {"at": {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]}, "position": 0.05, "yaw": 3.2}
+    }
+    asked = changed(changed(data, ("start",), None), ("start_region",), start)
+    problem = PlanningProblem.from_dict(asked)
+    check_problem(problem)
+    np.testing.assert_allclose(problem.robot.pose(problem.start)[:3, 3], (0.4, 0.2, 0.6), atol=0.05001)
+    np.testing.assert_array_equal(PlanningProblem.from_dict(asked).start, problem.start)
+    again = PlanningProblem.from_dict(problem.to_dict())  # the file that is written holds the start alone
+    np.testing.assert_array_equal(again.start, problem.start)
+    refused("'start' or 'start_region', one of the two", changed(data, ("start_region",), start))
+    refused("'start' or 'start_region', one of the two", changed(data, ("start",), None))
+    far = changed(asked, ("start_region", "pose", "at", "xyz"), [5.0, 0.0, 0.0])
+    refused("no start in 'start_region': of 100 poses, 100 without inverse kinematics", far)
+
+
+def test_files_of_before_still_load(tmp_path):
+    """Written by `cvqmpt problems export` when every pose was a matrix and sampled goals stood beside the region."""
+    path = DATA / "problem-1.json"
+    old, problem = json.loads(path.read_text()), PlanningProblem.load(path)
+    assert problem.goals.tolist() == old["goals"] and problem.start.tolist() == old["start"]
+    for item, was in zip(problem.scene, old["scene"]["objects"], strict=True):
+        assert item.T_world_object.tolist() == was["T_world_object"] and item.obstacle == was["obstacle"]
+    assert [region.T0_w.tolist() for region in problem.constraint] == [r["T0_w"] for r in old["constraint"]]
+    problem.save(tmp_path / "now.json")
+    assert PlanningProblem.load(tmp_path / "now.json") == problem
+    assert len((tmp_path / "now.json").read_text().splitlines()) < 130
+
+
 def test_files_are_named(tmp_path, data):
     path = tmp_path / "problem.json"
     with pytest.raises(InvalidInputError, match=r"problem\.json: No such file"):
         PlanningProblem.load(path)
-    for text, pattern in (("{", "not json"), ("{}", "'schema' is None"), ("[]", "not list")):
+    for text, pattern in (("{", "not json"), ("{}", "schema is None"), ("[]", "one json object")):
         path.write_text(text)
         with pytest.raises(InvalidInputError, match=rf"problem\.json.*{pattern}"):
             PlanningProblem.load(path)

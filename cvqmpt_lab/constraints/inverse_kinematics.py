@@ -57,18 +57,24 @@ def solve_poses(
 
 @dataclass(frozen=True)
 class GoalSample:
-    """What sampling a goal region brought.
-
-    Attributes
-    ----------
-    configurations: (k, n), collision-free. poses_tried: poses drawn.
-    unreachable, colliding: poses without an inverse-kinematics solution, and with none free of collision.
-    """
+    """What sampling a goal region brought."""
 
     configurations: np.ndarray
+    """(k, n), free of collision [rad or m]."""
     poses_tried: int
+    """Poses drawn."""
     unreachable: int
+    """Poses without an inverse-kinematics solution."""
     colliding: int
+    """Poses with solutions, none of them free of collision."""
+
+    @property
+    def outcome(self) -> str:
+        """Why there are no more."""
+        return (
+            f"of {self.poses_tried} poses, {self.unreachable} without inverse kinematics, "
+            f"{self.colliding} in collision"
+        )
 
 
 def sample_region(

@@ -29,6 +29,11 @@ class BoundUse:
     """Upper bound, inf where there is none [m] or [rad]."""
 
     @property
+    def excess(self) -> float:
+        """How far the value lies beyond its bound; negative inside [m] or [rad]."""
+        return max(self.lower - self.value, self.value - self.upper)
+
+    @property
     def unit(self) -> str:
         """Of value and bounds."""
         return UNITS[self.row]

@@ -2,61 +2,72 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.errors import InvalidInputError, shown
+from cvqmpt_lab.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.kernels.manifold.projection import project, projection_scratch
 from cvqmpt_lab.kernels.manifold.regions import Regions, batch_residual_and_jacobian
+from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.robot import Robot
 
 TOLERANCE = 1e-4  # on |F|, OMPL's default
 MAX_ITERATIONS = 50  # Newton steps, OMPL's default
 FREE = np.inf
 UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # hand x = world z
+ROWS = ("x [m]", "y [m]", "z [m]", "turn about x [rad]", "turn about y [rad]", "turn about z [rad]")
+ROWS_TEXT = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
+
+
+class BoundsForm:
+    """Six rows of two bounds, null where there is none."""
+
+    def read(self, value: Any, where: str) -> FloatArray:
+        """A read-only array (6, 2) with +-inf where there is no bound."""
+        if isinstance(value, list | tuple):
+            value = [
+                [sign * FREE if bound is None else bound for bound, sign in zip(row, (-1, 1), strict=True)]
+                if isinstance(row, list | tuple) and len(row) == 2
+                else row
+                for row in value
+            ]
+        Bw = numbers(value, where, ROWS_TEXT)
+        if Bw.shape != (6, 2):
+            raise InvalidInputError(f"{where} has shape {Bw.shape}; it must be {ROWS_TEXT}")
+        for k, (lower, upper) in enumerate(Bw):
+            if not (lower <= upper and lower < FREE and upper > -FREE):
+                raise InvalidInputError(
+                    f"{where}[{k}], {ROWS[k]}, is {shown([float(lower), float(upper)])}; "
+                    f"lower <= upper is needed in {ROWS_TEXT}"
+                )
+        Bw.setflags(write=False)
+        return Bw
+
+    def write(self, value: FloatArray) -> list:
+        """Rows, infinite bounds as null."""
+        return [[None if np.isinf(bound) else float(bound) for bound in row] for row in value]
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """Six pairs of numbers or null."""
+        pair = {"type": "array", "items": {"type": ["number", "null"]}, "minItems": 2, "maxItems": 2}
+        return {"type": "array", "items": pair, "minItems": 6, "maxItems": 6}
 
 
 @dataclass(frozen=True, eq=False)
-class TaskSpaceRegion:
-    """Poses of the end effector e seen from a frame w, within bounds.
+class TaskSpaceRegion(Checked):
+    """Poses of the end effector e seen from a frame w, within bounds."""
 
-    Attributes
-    ----------
-    T0_w: (4, 4), pose of w in the world.
-    Tw_e: (4, 4), pose of e in w when the displacement is zero.
-    Bw: (6, 2), lower and upper bounds of position x, y, z [m] and rotation vector [rad];
-        +-inf leaves an entry free (a rotation entry also when it spans [-pi, pi]).
-    """
-
-    T0_w: np.ndarray
-    Tw_e: np.ndarray
-    Bw: np.ndarray
-
-    def __post_init__(self) -> None:
-        for name, shape in (("T0_w", (4, 4)), ("Tw_e", (4, 4)), ("Bw", (6, 2))):
-            value = np.array(getattr(self, name), dtype=float)
-            if value.shape != shape or np.isnan(value).any():
-                raise InvalidInputError(
-                    f"task-space region field {name!r} must be {shape} numbers without NaN"
-                )
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        for name in ("T0_w", "Tw_e"):
-            rotation = getattr(self, name)[:3, :3]
-            rigid = np.isfinite(getattr(self, name)).all() and np.array_equal(
-                getattr(self, name)[3], (0, 0, 0, 1)
-            )
-            if (
-                not (rigid and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6))
-                or np.linalg.det(rotation) < 0
-            ):
-                raise InvalidInputError(
-                    f"task-space region field {name!r} is no pose: rotation matrix and position"
-                )
-        if (self.Bw[:, 0] > self.Bw[:, 1]).any():
-            row = int(np.argmax(self.Bw[:, 0] > self.Bw[:, 1]))
-            raise InvalidInputError(f"task-space region field 'Bw': row {row} has lower > upper")
+    T0_w: Pose
+    """(4, 4), pose of w in the world."""
+    Tw_e: Pose
+    """(4, 4), pose of e in w when the displacement is zero."""
+    Bw: Annotated[FloatArray, BoundsForm()]
+    """(6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad]; +-inf (null in json)
+    leaves an entry free, a rotation entry also when it spans [-pi, pi]."""
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
         """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
@@ -95,40 +106,19 @@ class TaskSpaceRegion:
         T_w_displaced[:3, 3] = x[:3]
         return self.T0_w @ T_w_displaced @ self.Tw_e
 
-    def to_dict(self) -> dict:
-        """Plain json form; infinite bounds become null."""
-        bounds = [[None if np.isinf(b) else float(b) for b in row] for row in self.Bw]
-        return {"T0_w": self.T0_w.tolist(), "Tw_e": self.Tw_e.tolist(), "Bw": bounds}
 
-    @staticmethod
-    def from_dict(data: dict) -> "TaskSpaceRegion":
-        """Inverse of to_dict; names the missing or malformed field."""
-        try:
-            rows = data["Bw"]
-            if not isinstance(rows, list):
-                raise InvalidInputError(
-                    f"task-space region field 'Bw' is malformed: {rows!r} is no list of 6 pairs"
-                )
-            bounds = [
-                [s * np.inf if b is None else b for b, s in zip(row, (-1, 1), strict=True)] for row in rows
-            ]
-            return TaskSpaceRegion(
-                np.array(data["T0_w"], float), np.array(data["Tw_e"], float), np.array(bounds, float)
-            )
-        except KeyError as error:
-            raise InvalidInputError(f"task-space region field {error} is missing") from error
-        except (TypeError, ValueError) as error:
-            raise InvalidInputError(f"task-space region is malformed: {error}") from error
+def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
+    """An axis of the hand ("x", "-z", ...) points up within tilt [rad]; yaw about it and position are free.
 
-
-def upright(tilt: float = 0.1) -> TaskSpaceRegion:
-    """The hand's x axis stays vertical within tilt [rad]; yaw about it and position are free.
-
-    The published experiment code's constraint: rotation vector of R_t^T R, entries 1 and 2 in +-0.1 rad.
+    With the hand's x the published experiment code's constraint: rotation vector of R_t^T R, entries 1 and 2
+    in +-0.1 rad.
     """
-    T0_w = np.eye(4)
+    T0_w, Tw_e = np.eye(4), np.eye(4)
     T0_w[:3, :3] = UPRIGHT_ROTATION
-    return TaskSpaceRegion(T0_w, np.eye(4), np.array([[-FREE, FREE]] * 4 + [[-tilt, tilt]] * 2))
+    Tw_e[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)  # the axis of e is x of w, ...
+    if axis[0] == "-":
+        Tw_e[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ Tw_e[:3, :3]  # ... or opposite to it
+    return TaskSpaceRegion(T0_w, Tw_e, np.array([[-FREE, FREE]] * 4 + [[-tilt, tilt]] * 2))
 
 
 @dataclass(frozen=True, eq=False)

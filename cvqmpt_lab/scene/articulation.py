@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.forms import FloatArray
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
 from cvqmpt_lab.scene.exact_checker import coal_shape, shape_distance
-from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject, pose
-from cvqmpt_lab.scene.shapes import FloatArray, PointCloud
+from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud
 
 REST_GAP = 1e-3  # [m] pieces that come closer to the object somewhere on its way are part of its casing, ...
 DEEPEST = 1e-4  # [m] ... unless it goes deeper into them: then they are obstacles that stop it

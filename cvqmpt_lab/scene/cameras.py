@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.scene.rays import ray_interval, seen_corners
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import FloatArray
 
 _AHEAD = 1e-3
 """Corners must lie this far ahead of a camera for their rectangle in the image to be known [m]."""

@@ -10,9 +10,10 @@ from dataclasses import fields, replace
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.kitchen import KitchenParameters, kitchen
 from cvqmpt_lab.scene.random_scenes import random_scene
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 
 BOARD = 0.02  # [m] thickness of boards and walls

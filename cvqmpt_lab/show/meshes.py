@@ -7,10 +7,11 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import SceneObject, pose
+from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, shape_vertices
 
 Colour = tuple[float, float, float]

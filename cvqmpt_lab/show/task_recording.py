@@ -16,8 +16,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.show.meshes import ROBOT_COLOUR, hull_mesh, poses_along
 from cvqmpt_lab.show.recording import log_scene, mesh_archetype, object_archetype, save_recording
 from cvqmpt_lab.show.task_still import world_along
+from cvqmpt_lab.tasks.phases import PlannedPhase
 from cvqmpt_lab.tasks.solve_task import TaskSolution
-from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import Load, World
 
 TIMELINE = "task_time"

@@ -12,8 +12,8 @@ from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import ROBOT_COLOUR, joined, robot_meshes, scene_meshes
 from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import HIDDEN, still_image, write_png
+from cvqmpt_lab.tasks.phases import PlannedPhase
 from cvqmpt_lab.tasks.solve_task import TaskSolution
-from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import HeldDoor, Load, World
 
 GAP = 6  # [pixels] between pictures

@@ -8,7 +8,8 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
+from cvqmpt_lab.tasks.phases import Move, PlannedPhase, Slide, Turn
+from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import World
 
 DOOR_MARGIN = 5e-4  # [m] in place of SAMPLE_MARGIN with a door in the hand

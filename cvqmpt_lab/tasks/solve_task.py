@@ -18,7 +18,8 @@ from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planning.result import Budget, Path, PlanStatus
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.goals import following, phase_goals, prepare, world_before
-from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
+from cvqmpt_lab.tasks.phases import Move, PlannedPhase
+from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import Trajectory

@@ -10,8 +10,9 @@ from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.search.space_arrays import Space, state_valid, states_valid
 from cvqmpt_lab.planning.collision_arrays import scene_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from experiments.bench.timing import Figure, single, timed
 

@@ -14,14 +14,15 @@ from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import Scene, pose
-from experiments.suites.place_task import DOOR, UnsolvableProblem, no_grasp
+from cvqmpt_lab.scene.scene import Scene
+from experiments.suites.place_task import DOOR, UnsolvableProblem
 
 OPEN = -0.45 * np.pi  # [rad]
 BAR = f"{DOOR}/handle_bar"
@@ -90,7 +91,7 @@ def door_problem(
         )
         if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
             return problem
-    return UnsolvableProblem(str(seed), no_grasp("start grasp whose posture reaches the goal", starts))
+    return UnsolvableProblem(str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}")
 
 
 def goal_region(region: TaskSpaceRegionChain, angle: float) -> TaskSpaceRegion:

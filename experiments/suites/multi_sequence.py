@@ -15,12 +15,14 @@ import numpy as np
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import FINGER_OPENING, robot_from_source
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.objects import CAN, cracker_box, mustard_bottle
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
-from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
+from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Release, Slide, Turn
+from cvqmpt_lab.tasks.task import Task
 from experiments.suites.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
 from experiments.suites.place_task import DOOR, SHELF_LINK, carried_can, grasp_region
 from paper_tables.multi_sequence_summary import PAPER_PHASES
@@ -28,8 +30,8 @@ from paper_tables.multi_sequence_summary import PAPER_PHASES
 TASKS = range(10)
 FIRST_SEED = 100
 CAN_NAME = "can"
-CRACKER_BOX = ((0.600, -0.623, 0.287), -np.pi / 4)  # centre of mass [m] and yaw [rad]
-MUSTARD_BOTTLE = (0.550, -0.303, 0.262)
+CRACKERS = ((0.600, -0.623, 0.287), -np.pi / 4)  # centre of mass [m] and yaw [rad]
+MUSTARD = (0.550, -0.303, 0.262)
 TARGET, TARGET_SIDE = (
     (0.25, -0.45, 0.271),
     0.1,
@@ -44,11 +46,11 @@ REACH_HANDLE, REACH_CAN, CARRY = PAPER_PHASES
 @lru_cache(maxsize=1)
 def world() -> Scene:
     """The kitchen, door closed, with the two obstacles on the counter and the can on the shelf."""
-    position, yaw = CRACKER_BOX
+    position, yaw = CRACKERS
     centre = np.add(SHELF_LINK, CAN.com) + (0.0, 0.0, CAN.shape_centre[2] - CAN.com[2])
     return kitchen().with_objects(
-        cracker_box("cracker_box", position, yaw),
-        mustard_bottle("mustard_bottle", MUSTARD_BOTTLE),
+        CRACKER_BOX.at_com("cracker_box", position, yaw),
+        MUSTARD_BOTTLE.at_com("mustard_bottle", MUSTARD),
         SceneObject(CAN_NAME, CAN.shape, pose(centre)),  # its axis through its centre of mass
     )
 

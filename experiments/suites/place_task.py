@@ -11,15 +11,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, GoalSample, sample_region
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN
-from cvqmpt_lab.scene.scene import Scene, pose
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Cylinder
 
 ENVIRONMENTS = range(150)
@@ -80,7 +81,7 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
     rng = np.random.default_rng([environment, 0])
     start = sample_region(robot, grasp_region(can_com(environment)), checker, rng, count=1)
     if len(start.configurations) == 0:
-        return UnsolvableProblem(name, no_grasp("start grasp", start))
+        return UnsolvableProblem(name, f"no start grasp: {start.outcome}")
     return PlanningProblem(
         name=name,
         robot=robot,
@@ -90,12 +91,4 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
         constraint=(upright(),),
         attachments=attachments,
         goal_region=grasp_region(np.add(SHELF_LINK, CAN.com)),
-    )
-
-
-def no_grasp(what: str, sample: GoalSample) -> str:
-    """Why sampling brought nothing."""
-    return (
-        f"no {what}: of {sample.poses_tried} poses, {sample.unreachable} without inverse kinematics, "
-        f"{sample.colliding} in collision"
     )

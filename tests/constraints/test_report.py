@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.constraints.report import bound_usage, displacements
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.scene.scene import pose
+from cvqmpt_lab.poses import pose
 
 
 def test_the_largest_tilt_of_a_path_is_found_against_its_bound(solution):

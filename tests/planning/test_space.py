@@ -10,7 +10,8 @@ from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
-from cvqmpt_lab.scene.scene import SceneObject, pose
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 
 MARGIN = SpaceSettings().margin

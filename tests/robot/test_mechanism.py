@@ -14,13 +14,14 @@ from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.scene.articulation import DEEPEST, REST_GAP, take_out
 from cvqmpt_lab.scene.exact_checker import CollisionChecker, coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world, handle_region
 from experiments.suites.place_task import DOOR

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cameras import (
     BallCrop,
     BoxCrop,
@@ -19,7 +20,7 @@ from cvqmpt_lab.scene.cameras import (
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.random_scenes import random_scene
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from experiments.training_data import SHAPES

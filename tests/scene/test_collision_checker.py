@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from experiments.suites.place_task import carried_can
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.scene.scene import pose
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.show.framing import AZIMUTHS, clear_viewpoint, framed
 from cvqmpt_lab.show.meshes import shape_mesh

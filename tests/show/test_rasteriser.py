@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.scene.scene import pose
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.show.meshes import joined, shape_mesh
 from cvqmpt_lab.show.rasteriser import Viewpoint, rasterise

@@ -1,0 +1,180 @@
+"""Regions as problem files write them: in full, or one of a few common ones by name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from cvqmpt_lab.codec import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.errors import InvalidInputError, nearest, shown
+from cvqmpt_lab.forms import Schema, Such
+from cvqmpt_lab.poses import Placement, Pose, pose
+
+Vector = tuple[float, float, float]
+Tolerance = Annotated[float, Such(float, lambda x: x >= 0.0, "0 or more", {"minimum": 0})]
+
+
+@dataclass(frozen=True)
+class Upright:
+    """An axis of the end effector points up; yaw about it and position are free."""
+
+    tilt: Tolerance = 0.1
+    """[rad]."""
+    axis: Literal["x", "-x", "y", "-y", "z", "-z"] = "x"
+    """Axis of the end-effector frame."""
+
+    def region(self) -> TaskSpaceRegion:
+        """In full."""
+        return upright(self.tilt, self.axis)
+
+
+@dataclass(frozen=True)
+class FixedOrientation:
+    """The end effector is turned as said; its position is free."""
+
+    tolerance: Tolerance
+    """Of each entry of the rotation vector from that orientation [rad]."""
+    rpy: Vector | None = None
+    """Roll, pitch, yaw about the world's x, y, z [rad]."""
+    quaternion: tuple[float, float, float, float] | None = None
+    """The same as x, y, z, w."""
+
+    def region(self) -> TaskSpaceRegion:
+        """In full."""
+        there = Placement(rpy=self.rpy, quaternion=self.quaternion).matrix
+        return _region(there, np.eye(4), [FREE] * 3 + [self.tolerance] * 3)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The end effector's origin stays in a plane; it turns freely."""
+
+    normal: Vector
+    """Of any length."""
+    point: Vector
+    """A point of the plane [m]."""
+    tolerance: Tolerance = 0.0
+    """To both sides [m]."""
+
+    def region(self) -> TaskSpaceRegion:
+        """In full."""
+        return _region(_along(self.point, self.normal), np.eye(4), [FREE, FREE, self.tolerance] + [FREE] * 3)
+
+
+@dataclass(frozen=True)
+class Line:
+    """The end effector's origin stays on a line; it turns freely."""
+
+    direction: Vector
+    """Of any length."""
+    point: Vector
+    """A point of the line [m]."""
+    tolerance: Tolerance = 0.0
+    """Across the line, in each of two directions [m]."""
+
+    def region(self) -> TaskSpaceRegion:
+        """In full."""
+        there = _along(self.point, self.direction)
+        return _region(there, np.eye(4), [self.tolerance, self.tolerance, FREE] + [FREE] * 3)
+
+
+@dataclass(frozen=True)
+class Near:
+    """The end effector stands at a pose, or close to it."""
+
+    at: Pose
+    """Its pose in the world."""
+    position: Tolerance = 0.0
+    """Of x, y and z [m]."""
+    tilt: Tolerance = 0.0
+    """About the world's x and y [rad]."""
+    yaw: Tolerance = 0.0
+    """About the world's vertical [rad]; 3.15 leaves it free."""
+
+    def region(self) -> TaskSpaceRegion:
+        """In full."""
+        turned = self.at.copy()
+        turned[:3, 3] = 0.0
+        bounds = [self.position] * 3 + [self.tilt] * 2 + [self.yaw]
+        return _region(pose(self.at[:3, 3]), turned, bounds)
+
+
+NAMED: Mapping[str, Any] = {
+    "upright": Upright,
+    "fixed-orientation": FixedOrientation,
+    "plane": Plane,
+    "line": Line,
+    "pose": Near,
+}
+"""What may stand for a region, `{"upright": {...}}` or `{"upright": 0.1}`, a value of its first field."""
+
+
+def _region(T0_w: np.ndarray, Tw_e: np.ndarray, bounds: list[float]) -> TaskSpaceRegion:
+    """A region with symmetric bounds (6,)."""
+    return TaskSpaceRegion(T0_w, Tw_e, np.array([[-bound, bound] for bound in bounds]))
+
+
+def _along(point: Vector, direction: Vector) -> np.ndarray:
+    """A frame (4, 4) at a point whose z axis points along a direction."""
+    length = np.linalg.norm(direction)
+    if length == 0.0:
+        raise InvalidInputError("the direction is 0, 0, 0")
+    z = np.array(direction) / length
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    T = pose(point)
+    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return T
+
+
+class RegionForm:
+    """A region, one that hangs on a frame of the robot when it has a "base", or one of `NAMED`."""
+
+    def read(self, value: Any, where: str) -> TaskSpaceRegion:
+        """Make the region, in full."""
+        if isinstance(value, TaskSpaceRegion):
+            return value
+        full = field_kinds(TaskSpaceRegionChain)
+        keys = [key for key in mapping(value, where, ", ".join(full)) if key != COMMENT]
+        unknown = next((key for key in keys if key not in (*full, *NAMED)), None)
+        if unknown is not None:
+            raise InvalidInputError(
+                f"{at(where, shown(unknown)[1:-1])} is unknown{nearest(unknown, [*full, *NAMED])}; "
+                f"fields: {', '.join(full)}, or one of {', '.join(NAMED)} alone"
+            )
+        if not any(key in NAMED for key in keys):
+            kind: Any = TaskSpaceRegionChain if "base" in value else TaskSpaceRegion
+            return from_plain(kind, value, where)
+        if len(keys) > 1:
+            raise InvalidInputError(f"{where} has {', '.join(keys)}; a region by name stands alone")
+        return self._named(keys[0], value[keys[0]], at(where, keys[0]))
+
+    def write(self, value: TaskSpaceRegion) -> Any:
+        """In full."""
+        return to_plain(value)
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """All of them."""
+        regions = [of(TaskSpaceRegion), of(TaskSpaceRegionChain)]
+        for name, kind in NAMED.items():
+            first = next(iter(field_kinds(kind).values()))
+            contents = {name: {"anyOf": [of(first), of(kind)]}, COMMENT: {}}
+            regions.append(
+                {"type": "object", "properties": contents, "required": [name], "additionalProperties": False}
+            )
+        return {"anyOf": regions}
+
+    @staticmethod
+    def _named(name: str, content: Any, where: str) -> TaskSpaceRegion:
+        kind = NAMED[name]
+        if not isinstance(content, Mapping):
+            content = {next(iter(field_kinds(kind))): content}
+        named = from_plain(kind, content, where)
+        with located(where):
+            return named.region()
+
+
+Region = Annotated[TaskSpaceRegion, RegionForm()]
