@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cli.options import positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.files import write_text
 from experiments.bench.kernels import BENCHES
 from experiments.warmup import compile_kernels
 
@@ -46,7 +47,5 @@ def run(args: argparse.Namespace) -> int:
         spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""
         print(f"{figure.name:{width}}  {figure.median:.4g} {figure.unit}{spread}")
     if args.json:
-        temporary = args.json.with_name(args.json.name + ".tmp")
-        temporary.write_text(json.dumps([figure._asdict() for figure in figures], indent=1) + "\n")
-        temporary.replace(args.json)
+        write_text(args.json, json.dumps([figure._asdict() for figure in figures], indent=1) + "\n")
     return 0

@@ -13,7 +13,7 @@ from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Budget, Path
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.phase_name import phase_problem
-from cvqmpt_lab.results.row import FailReason, ResultRow, RunKey, one_line
+from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line
 from cvqmpt_lab.tasks.phases import PlannedPhase
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
@@ -22,10 +22,7 @@ from experiments.suites.place_task import UnsolvableProblem
 Item = PlanningProblem | UnsolvableProblem | Task
 """What a suite is made of."""
 
-SUMMED = (
-    *("t_total_s", "t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s"),
-    *("n_projections", "n_newton_iterations", "n_state_checks", "n_iterations", "vertices"),
-)
+SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
 """Columns of a phase that count all of its attempts."""
 
 

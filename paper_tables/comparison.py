@@ -6,12 +6,13 @@ Pure functions of rows. A run's work is its projections and state checks, which 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, problem_key, quantile
+from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, problem_key
 
 CONFIDENCE = 0.95
 REFERENCE = "birrt"
@@ -125,17 +126,13 @@ def split_by_work(reference: Iterable[ResultRow]) -> Split:
         effort = work(row) if row.solved else math.inf
         if effort is not None:
             efforts.setdefault(row.problem, []).append(effort)
-    medians = {problem: _median(values) for problem, values in efforts.items()}
-    limit = quantile(list(medians.values()), 1.0 - HARD_SHARE)
-    hard = frozenset(problem for problem, median in medians.items() if limit is not None and median > limit)
+    medians = {problem: median(values) for problem, values in efforts.items()}
+    ordered = sorted(medians.values())
+    last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
+    hard = frozenset(problem for problem, effort in medians.items() if effort > ordered[last_easy])
     return Split(frozenset(medians) - hard, hard)
 
 
 def split_metric(ratio: str, part: str) -> str:
     """Name of the metric `ratio` on a part of the split."""
     return f"{ratio}_{part}_of_{REFERENCE}"
-
-
-def _median(values: Sequence[float]) -> float:
-    ordered = sorted(values)
-    return ordered[(len(ordered) - 1) // 2] / 2 + ordered[len(ordered) // 2] / 2

@@ -225,7 +225,7 @@ def _verdict(
     statement: Statement, baseline: str, tasks: Sequence[ResultRow], published: Sequence[PublishedValue]
 ) -> Verdict:
     """The ratio over tasks and seeds that both solved, of the phases that the paper times."""
-    numbers = {value.planner: float(value.printed) for value in published if value.metric == statement.metric}
+    numbers = {value.planner: float(value.value) for value in published if value.metric == statement.metric}
     paper = None
     if statement.planner in numbers and baseline in numbers:
         paper = 1.0 - numbers[statement.planner] / numbers[baseline]

@@ -5,48 +5,29 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cvqmpt_lab.errors import InvalidInputError
-
 PUBLISHED = Path(__file__).resolve().parent / "published"
-COLUMNS = ("table", "environment", "planner", "paper_name", "metric", "value", "unit", "note")
 
 
 @dataclass(frozen=True)
 class PublishedValue:
-    """One number of the paper; ``printed`` is its text there."""
+    """One number of the paper; the fields are the columns of the files."""
 
+    table: str
     environment: str
     planner: str
     paper_name: str
     metric: str
-    printed: str
+    value: str
+    """As printed there."""
     unit: str
     note: str
 
 
-def read_published(path: Path, environment: str | None = None) -> tuple[PublishedValue, ...]:
-    """Read the paper's numbers, those of one environment or all.
-
-    Raises
-    ------
-    InvalidInputError
-        When the columns are not `COLUMNS` or a value is not a number.
-    """
-    with Path(path).open(encoding="utf-8", newline="") as handle:
-        reader = csv.DictReader(handle)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise InvalidInputError(f"{path}, line 1: columns must be {','.join(COLUMNS)}")
-        values = []
-        for record in reader:
-            try:
-                float(record["value"])
-            except (TypeError, ValueError):
-                message = f"{path}, line {reader.line_num}, column value: {record['value']!r} is no number"
-                raise InvalidInputError(message) from None
-            if environment in (None, record["environment"]):
-                fields = {name: record[name] for name in COLUMNS if name not in ("table", "value")}
-                values.append(PublishedValue(printed=record["value"], **fields))
-    return tuple(values)
+def read_published(name: str, environment: str | None = None) -> tuple[PublishedValue, ...]:
+    """The paper's numbers in a file of ``published``, those of one environment or all."""
+    with (PUBLISHED / name).open(encoding="utf-8", newline="") as handle:
+        values = [PublishedValue(**record) for record in csv.DictReader(handle)]
+    return tuple(value for value in values if environment in (None, value.environment))
 
 
 def notes_on(published: Iterable[PublishedValue]) -> list[str]:

@@ -30,8 +30,8 @@ from paper_tables.summary import (
 
 BRIEF = (
     BriefColumn("solved [%]", "accuracy", "accuracy"),
-    BriefColumn("time [s]", "time", "time_median", interval=True),
-    BriefColumn("path length [rad]", "path_length", "path_length_median"),
+    BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
+    BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
 )
 
 

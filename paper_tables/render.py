@@ -11,7 +11,7 @@ from cvqmpt_lab.results.provenance import ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.multi_sequence_render import render_multi_sequence
-from paper_tables.paper_numbers import PUBLISHED, read_published
+from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_render import render_place
 from paper_tables.summary import Rendered, rows_of_one_suite
 
@@ -64,7 +64,7 @@ def render_directory(directory: Path) -> RenderedFiles:
     rows = rows_of_one_suite(_rows(directory))
     record = ProvenanceFile(directory).read()
     table = TABLES.get(rows[0].suite, SuiteTable(f"Suite {rows[0].suite}"))
-    paper = read_published(PUBLISHED / table.paper[0], table.paper[1]) if table.paper else ()
+    paper = read_published(*table.paper) if table.paper else ()
     made, head = table.render(rows, paper), _head(record, len(rows))
     texts = {
         "table.md": f"# {table.title}\n\n{head}\n\n{made.markdown}",

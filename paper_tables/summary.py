@@ -72,7 +72,7 @@ class PlannerSummary:
 
     def paper_cell(self, metric: str) -> str:
         """The paper's number."""
-        return self.published[metric].printed if metric in self.published else "–"
+        return self.published[metric].value if metric in self.published else "–"
 
 
 @dataclass(frozen=True)
@@ -168,26 +168,29 @@ def metric_lines(planners: Iterable[PlannerSummary], labels: Mapping[str, str]) 
 
 
 class BriefColumn(NamedTuple):
-    """A number that a terminal shows: its title, the paper's metric, ours, and whether with our interval."""
+    """A number that a terminal shows: its title, the paper's metric, ours and which statistic, with interval or not."""
 
     title: str
     published: str
     ours: str
+    statistic: str = "ours"
     interval: bool = False
 
 
 def brief_lines(planners: Sequence[PlannerSummary], columns: Sequence[BriefColumn]) -> list[str]:
     """A line a planner for a terminal, the paper's numbers beside ours, then one about fallbacks, if any."""
     papers = [column.published in planner.published for column in columns for planner in planners]
-    heads = ("paper", "ours") if any(papers) else ("ours",)
-    lines = [["", *(text for column in columns for text in (column.title, "")[: len(heads)])]]
-    lines += [["planner", *heads * len(columns)]]
+    shown = 2 if any(papers) else 1
+    lines = [[""], ["planner"]]
+    for column in columns:
+        lines[0] += [column.title, ""][:shown]
+        lines[1] += ["paper", column.statistic][-shown:]
     for planner in planners:
         lines.append([planner.name])
         for column in columns:
             interval = planner.measured[column.ours]
             ours = estimate(interval) if column.interval else number(interval.estimate)
-            lines[-1] += [planner.paper_cell(column.published), ours][-len(heads) :]
+            lines[-1] += [planner.paper_cell(column.published), ours][-shown:]
     told = ", ".join(f"{p.name} {p.n_fallen_back} of {p.n_runs}" for p in planners if p.n_fallen_back)
     return ["  ".join(line).rstrip() for line in padded(lines)] + ([f"by fallback: {told}"] if told else [])
 
@@ -199,7 +202,7 @@ def csv_of(suite: str, planners: Iterable[PlannerSummary], metrics: Mapping[str,
         for name, metric in metrics.items():
             value = planner.published.get(metric.published or "")
             if value:
-                lines.append((suite, name, value.unit, planner.name, "paper", value.printed, "", "", ""))
+                lines.append((suite, name, value.unit, planner.name, "paper", value.value, "", "", ""))
         for name, interval in planner.measured.items():
             numbers = (interval.estimate, interval.low, interval.high, interval.n)
             lines.append((suite, name, metrics[name].unit, planner.name, "ours", *numbers))

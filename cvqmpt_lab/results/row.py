@@ -5,20 +5,18 @@ values are None in Python and empty in csv, never 0 or -1. A failed run is a row
 """
 
 import csv
-import dataclasses
 import io
-import math
 import re
-import types
 import typing
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.codec import field_kinds, from_plain
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import read_text, write_text
 
 SCHEMA = "2"
@@ -68,10 +66,10 @@ class ResultRow:
 
     Raises
     ------
-    InvalidInputError
-        For a value of the wrong type, NaN, text that is empty, unprintable or like a formula, a negative
-        number (other than ``min_clearance_m``), ``solved`` without ``certified``, or a run that neither is
-        solved nor has a ``fail_reason``, or both.
+    InvalidInputError, UnknownChoiceError
+        For a value of the wrong type or not finite, text that is empty, unprintable or like a formula, a
+        negative number (other than ``min_clearance_m``), ``solved`` without ``certified``, or a run that
+        neither is solved nor has a ``fail_reason``, or both.
     """
 
     schema: str = SCHEMA
@@ -118,8 +116,8 @@ class ResultRow:
     path_sha256: str | None = None
 
     def __post_init__(self) -> None:
-        for column in _COLUMN_TYPES:
-            object.__setattr__(self, column, _checked(column, getattr(self, column)))
+        for column, kind in field_kinds(ResultRow).items():
+            object.__setattr__(self, column, _checked(column, kind, getattr(self, column)))
         if self.solved and not self.certified:
             raise InvalidInputError(
                 f"solved is True but certified is {self.certified}; a path without a certificate is a failure"
@@ -140,46 +138,22 @@ class ResultRow:
         return self.problem.partition("/")[0]
 
 
-def _column_types() -> dict[str, tuple[type, bool]]:
-    """Map each column to its Python type and whether it may be undefined."""
-    kinds: dict[str, tuple[type, bool]] = {}
-    hints = typing.get_type_hints(ResultRow)
-    for field in dataclasses.fields(ResultRow):
-        hint = hints[field.name]
-        optional = isinstance(hint, types.UnionType)
-        kinds[field.name] = (typing.get_args(hint)[0] if optional else hint, optional)
-    return kinds
+COLUMNS: tuple[str, ...] = tuple(field_kinds(ResultRow))
 
 
-_COLUMN_TYPES = _column_types()
-COLUMNS: tuple[str, ...] = tuple(_COLUMN_TYPES)
-_ACCEPTED: dict[type, tuple[type, ...]] = {
-    bool: (bool, np.bool_),
-    int: (int, np.integer),
-    float: (int, float, np.integer, np.floating),
-    str: (str,),
-    FailReason: (str,),
-}
-
-
-def _checked(column: str, value: object) -> object:
-    """Return `value` as the plain Python type of `column`; raise InvalidInputError when it is not one."""
-    kind, optional = _COLUMN_TYPES[column]
-    if value is None and optional:
-        return None
-    stray_bool = isinstance(value, bool | np.bool_) and kind is not bool
-    if stray_bool or not isinstance(value, _ACCEPTED[kind]):
-        suffix = " or None" if optional else ""
-        raise InvalidInputError(f"{column} is {value!r}; it must be {kind.__name__}{suffix}")
-    if kind is FailReason and value not in list(FailReason):
-        raise InvalidInputError(f"{column} is {value!r}; it must be one of {', '.join(FailReason)}")
-    plain = kind(value)
-    if kind is str and not (plain and plain.isprintable() and not plain.startswith(FORMULA)):
+def _checked(column: str, kind: Any, value: object) -> object:
+    """A column's value as its plain Python type; errors begin with the column."""
+    if column == "fail_reason":
+        if value is None or value in list(FailReason):
+            return None if value is None else FailReason(str(value))
+        raise UnknownChoiceError(column, value, FailReason)
+    plain = from_plain(kind, value, column)
+    if isinstance(plain, str) and not (plain and plain.isprintable() and not plain.startswith(FORMULA)):
         raise InvalidInputError(
             f"{column} is {plain!r}; it must be one non-empty line that does not begin like a formula"
         )
-    if kind in (int, float) and (math.isnan(plain) or (plain < 0 and column != "min_clearance_m")):
-        raise InvalidInputError(f"{column} is {plain}; it cannot be negative or NaN (undefined is None)")
+    if isinstance(plain, float) and plain < 0 and column != "min_clearance_m":
+        raise InvalidInputError(f"{column} is {plain}; it cannot be negative")
     if column == "schema" and plain != SCHEMA:
         raise InvalidInputError(f"schema is {plain!r}; this version reads and writes {SCHEMA!r}")
     return plain
@@ -199,16 +173,14 @@ def _to_text(value: object) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _from_text(column: str, text: str) -> object:
-    kind, optional = _COLUMN_TYPES[column]
+def _from_text(kind: Any, text: str) -> object:
+    """Inverse of `_to_text` for a column of type `kind`; ValueError for text that is no such value."""
+    kind, *optional = typing.get_args(kind) or (kind,)
     if text == "" and optional:
         return None
     if kind is bool:
-        return _checked(column, {"true": True, "false": False}.get(text, text))
-    try:
-        return _checked(column, kind(text))
-    except ValueError:
-        return _checked(column, text)  # raises, naming the text and the type
+        return ("false", "true").index(text) == 1
+    return kind(text)
 
 
 def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
@@ -234,27 +206,24 @@ def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 def _parse_row(where: str, fields: list[str]) -> ResultRow:
     if len(fields) != len(COLUMNS):
-        column = COLUMNS[len(fields)] if len(fields) < len(COLUMNS) else f"number {len(COLUMNS) + 1}"
-        raise RunStoreError(f"{where}, column {column}: {len(fields)} fields, expected {len(COLUMNS)}")
-    values: dict[str, typing.Any] = {}
-    for column, text in zip(COLUMNS, fields, strict=True):
+        raise RunStoreError(f"{where}: {len(fields)} fields, expected {len(COLUMNS)}")
+    values: dict[str, Any] = {}
+    for (column, kind), text in zip(field_kinds(ResultRow).items(), fields, strict=True):
         try:
-            values[column] = _from_text(column, text)
-        except InvalidInputError as error:
-            raise RunStoreError(f"{where}, column {column}: {error}") from None
+            values[column] = _from_text(kind, text)
+        except ValueError:
+            raise RunStoreError(f"{where}, column {column}: {text!r} cannot stand there") from None
     try:
         return ResultRow(**values)
-    except InvalidInputError as error:
-        raise RunStoreError(f"{where}, column solved: {error}") from None
+    except CvqmptError as error:
+        raise RunStoreError(f"{where}, column {error}") from None
 
 
 def _parse_header(path: Path, fields: list[str]) -> None:
-    for index in range(max(len(fields), len(COLUMNS))):
-        found = fields[index] if index < len(fields) else "nothing"
-        expected = COLUMNS[index] if index < len(COLUMNS) else "nothing"
+    for index, (found, expected) in enumerate(zip_longest(fields, COLUMNS, fillvalue="nothing"), start=1):
         if found != expected:
             raise RunStoreError(
-                f"{path}, line 1, column {index + 1}: expected {expected}, found {found}; "
+                f"{path}, line 1, column {index}: expected {expected}, found {found}; "
                 f"the file is not a table of runs of this version (schema {SCHEMA}), use another --out"
             )
 

@@ -85,25 +85,6 @@ def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
     return Interval(median, float(ordered[rank - 1]), float(ordered[n - rank]), n, coverage)
 
 
-def quantile(values: ArrayLike, probability: float) -> float | None:
-    """Smallest value that at least a share `probability` of the values does not exceed; failures are +inf.
-
-    No interpolation, so that finite values and +inf never mix. None without values.
-
-    Raises
-    ------
-    InvalidInputError
-        For NaN or a probability outside [0, 1].
-    """
-    if not 0 <= probability <= 1:
-        raise InvalidInputError(f"probability is {probability}; it must lie in [0, 1]")
-    ordered = np.sort(_checked_values(values))
-    if len(ordered) == 0:
-        return None
-    rank = math.ceil(probability * len(ordered) - 1e-9)  # 0.07 * 100 is 7.000000000000001
-    return float(ordered[max(rank, 1) - 1])
-
-
 def mean_of_solved(
     values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
 ) -> Interval:

