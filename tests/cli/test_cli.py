@@ -124,25 +124,25 @@ def test_a_missing_field_is_named(capsys, problem_file, data, field):
     del data[field]
     problem_file.write_text(json.dumps(data))
     line = refused(capsys, "plan", "--problem-file", problem_file)
-    assert str(problem_file) in line and f"'{field}'" in line
+    assert str(problem_file) in line and field in line
 
 
 @pytest.mark.parametrize(
     ("path", "value", "word"),
     [
-        (["robot"], 5, "'robot'"),
+        (["robot"], 5, "robot"),
         (["robot", "name"], "nope", "'nope'"),
-        (["robot", "finger_opening"], "wide", "'robot'"),
-        (["start"], "abc", "'start'"),
+        (["robot", "finger_opening"], "wide", "robot"),
+        (["start"], "abc", "start"),
         (["start"], [0.0, 1.0], "start"),
         (["start", 0], float("nan"), "NaN"),
         (["start", 0], 9.0, "panda_joint1 by 6.1"),
         (["goals"], 5, "goals"),
-        (["goals", 0, 1], float("nan"), "goal 0"),
+        (["goals", 0, 1], float("nan"), "goals[0, "),
         (["goals", 0], [0.0], "goal"),
         (["goal_region", "T0_w"], 5, "T0_w"),
         (["goal_region", "Bw"], 5, "Bw"),
-        (["constraint"], None, "'constraint'"),
+        (["constraint"], None, "constraint"),
         (["constraint", 0, "Tw_e"], [1.0], "Tw_e"),
         (["constraint", 0, "Bw", 4], [float("nan")] * 2, "Bw"),
         (["attachments"], [{}], "attach"),
@@ -322,7 +322,7 @@ def test_joints_are_locked(capsys, arm_file, slider_arm_urdf):
     data["start"], data["goals"] = data["start"][1:], [data["goals"][0][1:]]
     arm_file.write_text(json.dumps(data))
     words = ["plan", "--problem-file", arm_file, "--urdf", slider_arm_urdf, "--end-effector", "tool"]
-    assert "robot slider_arm needs (k, 4)" in refused(capsys, *words)
+    assert "robot slider_arm needs (4,)" in refused(capsys, *words)
     words += ["--lock", "rail=0.2", "--iterations", "20000"]
     assert main([str(word) for word in words]) == 0
 
