@@ -8,6 +8,7 @@ from cvqmpt_lab.codec import Checked, field_kinds, from_plain, located, mapping,
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.files import read_json_object, write_text
 
+EDITOR = "$schema"  # a field in which editors look for the json schema of a file; ignored
 LINE = 120  # characters of json that still go on one line
 
 
@@ -24,6 +25,7 @@ class Document(Checked):
     def from_dict(cls, data: Any) -> Self:
         """Inverse of `to_dict`; raises InvalidInputError with the path of the field that is wrong."""
         fields = dict(mapping(data, "", ", ".join(("schema", *field_kinds(cls)))))
+        fields.pop(EDITOR, None)
         schema = fields.pop("schema", None)
         if schema != cls.SCHEMA:
             raise InvalidInputError(f"schema is {shown(schema)}; this version reads {cls.SCHEMA!r}")

@@ -58,6 +58,8 @@ class Placement:
 class PoseForm:
     """A matrix, or a position with angles or a quaternion."""
 
+    title = "pose"
+
     def read(self, value: Any, where: str) -> FloatArray:
         """A read-only rigid pose (4, 4)."""
         if isinstance(value, Mapping):

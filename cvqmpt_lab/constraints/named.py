@@ -133,6 +133,8 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
 class RegionForm:
     """A region, one that hangs on a frame of the robot when it has a "base", or one of `NAMED`."""
 
+    title = "region"
+
     def read(self, value: Any, where: str) -> TaskSpaceRegion:
         """Make the region, in full."""
         if isinstance(value, TaskSpaceRegion):

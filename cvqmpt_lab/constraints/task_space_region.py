@@ -54,7 +54,12 @@ class BoundsForm:
     def schema(self, of: Schema) -> dict[str, Any]:
         """Six pairs of numbers or null."""
         pair = {"type": "array", "items": {"type": ["number", "null"]}, "minItems": 2, "maxItems": 2}
-        return {"type": "array", "items": pair, "minItems": 6, "maxItems": 6}
+        return {
+            "type": "array",
+            "prefixItems": [{**pair, "title": row} for row in ROWS],
+            "minItems": 6,
+            "maxItems": 6,
+        }
 
 
 @dataclass(frozen=True, eq=False)
