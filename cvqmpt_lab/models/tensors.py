@@ -71,7 +71,7 @@ def require_finite(tensors: Mapping[str, Tensor], where: str) -> None:
 def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
     expected = module.state_dict()
     faults = [f"{name} is missing" for name in expected if name not in tensors]
-    for name, tensor in tensors.items():
+    for name, tensor in sorted(tensors.items()):
         if name not in expected:
             faults.append(f"{name} {tuple(tensor.shape)} is left over")
         elif tensor.shape != expected[name].shape:
