@@ -1,6 +1,7 @@
 """Files read and written whole: a written file is complete or not there, and errors name the path."""
 
 import contextlib
+import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -61,6 +62,42 @@ def require_regular_file(path: Path, what: str = "file") -> Path:
     if path.exists() and not path.is_file() and not path.is_dir():
         raise InvalidInputError(f"cannot read {what} {path}: it is not a regular file")
     return path
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder's advisory lock; InvalidInputError when another process does."""
+    handle = lock(folder)
+    try:
+        yield
+    finally:
+        unlock(handle)
+
+
+def lock(folder: Path) -> int:
+    """Take a folder's advisory lock, so that two processes never write into it; return its handle.
+
+    Raises
+    ------
+    InvalidInputError
+        When another process has it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise InvalidInputError(f"{folder} is in use by another run; wait or use another folder") from None
+    except OSError:
+        pass  # a file system without locks: go on without one
+    return handle
+
+
+def unlock(handle: int) -> None:
+    """Give a lock back."""
+    with contextlib.suppress(OSError):
+        fcntl.flock(handle, fcntl.LOCK_UN)  # explicit: forked workers may still hold the handle
+    os.close(handle)
 
 
 def read_bytes(path: Path, what: str = "file") -> bytes:

@@ -1,13 +1,9 @@
 """Running planners over a suite: in parallel processes, resumable, every outcome one row or more."""
 
-import ctypes
-import multiprocessing
 import os
-import signal
-import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -26,8 +22,7 @@ from cvqmpt_lab.tasks.task import Task
 from experiments.rows import Item, Run, failed_rows, rows_of
 from experiments.suites.table import suite_named
 from experiments.warmup import compile_kernels
-
-PR_SET_PDEATHSIG = 1  # Linux: a worker ends with its parent, however that ends
+from experiments.workers import worker_pool
 
 Outcomes = Generator[tuple[Run, list[ResultRow]], None, list[Run]]
 """Runs with their rows as they come in; at the end, the runs that were in flight when a worker died."""
@@ -148,8 +143,7 @@ def _outcomes(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, list[Result
 
 def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...]) -> Outcomes:
     """Run a queue, a few runs in flight at a time, so that an interrupt is quick."""
-    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(queue)), context, initializer=_end_with_parent)
+    pool = worker_pool(min(jobs, len(queue)))
     flying: dict[Future, Run] = {}
     try:
         while queue or flying:
@@ -164,12 +158,6 @@ def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
     return []
-
-
-def _end_with_parent() -> None:
-    """Let this worker process end when its parent does, however that ends."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _run_warm(run: Run, setup: tuple[Run, ...]) -> list[ResultRow]:

@@ -1,15 +1,14 @@
 """A directory of runs that survives interruption and can be continued."""
 
-import contextlib
 import errno
-import fcntl
 import io
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.files import read_bytes
+from cvqmpt_lab.files import lock as lock_folder
+from cvqmpt_lab.files import read_bytes, unlock
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import (
     RUNS_FILE,
@@ -70,7 +69,7 @@ class RunStore:
         directory = Path(directory)
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            lock = _lock(directory)
+            lock = lock_folder(directory)
         except OSError as error:
             raise RunStoreError(f"cannot use {directory}: {error.strerror}; use another --out") from error
         try:
@@ -86,7 +85,7 @@ class RunStore:
             store = cls(directory, lock, None if is_new else session)
             store._recover()
         except BaseException:
-            _unlock(lock)
+            unlock(lock)
             raise
         return store
 
@@ -153,29 +152,10 @@ class RunStore:
                 self._partial.close()
             self._merge()
         finally:
-            _unlock(lock)
+            unlock(lock)
 
     def __enter__(self) -> "RunStore":
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.finish()
-
-
-def _lock(directory: Path) -> int:
-    """Take the directory's advisory lock, so that two runs never write one store; return its handle."""
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise RunStoreError(f"{directory} is in use by another run; wait or use another --out") from None
-    except OSError:
-        pass  # a file system without locks: go on without one
-    return handle
-
-
-def _unlock(handle: int) -> None:
-    with contextlib.suppress(OSError):
-        fcntl.flock(handle, fcntl.LOCK_UN)  # explicit: forked workers may still hold the handle
-    os.close(handle)

@@ -17,17 +17,17 @@ As ``cvqmpt data generate`` writes it::
         edge_q (s,e,2,n) uint16, edge_free (s,e) bool: optional, straight motions and whether they are free
 """
 
-import csv
 import hashlib
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_bytes, read_text, require_regular_file
+from cvqmpt_lab.files import read_bytes, read_text, require_regular_file, write_bytes, write_text
 
 SCHEMA = 1
 DESCRIPTION_FILE = "dataset.json"
@@ -73,6 +73,62 @@ class IndexRow:
         return f"{self.shard:06d}.npz"
 
 
+@dataclass(frozen=True, eq=False)
+class Shard:
+    """A shard to be written."""
+
+    row: IndexRow
+    content: bytes
+
+    @classmethod
+    def of(cls, number: int, arrays: Arrays) -> Self:
+        """Pack arrays."""
+        file = io.BytesIO()
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
+        content, counts = file.getvalue(), (len(arrays["scene_seed"]), len(arrays["path_scene"]))
+        return cls(IndexRow(number, hashlib.sha256(content).hexdigest(), *counts), content)
+
+
+def write_shard(folder: Path, shard: Shard, rows: Iterable[IndexRow]) -> None:
+    """Put a shard on disk, then write the index of all `rows`, its own included.
+
+    Raises
+    ------
+    InvalidInputError
+        When the disk refuses; what was there stays.
+    """
+    write_bytes(folder / SHARDS_FOLDER / shard.row.file, shard.content)
+    lines = [f"{row.shard:06d},{row.sha256},{row.scenes},{row.paths}" for row in sorted(rows, key=_number)]
+    write_text(folder / INDEX_FILE, "\n".join((",".join(COLUMNS), *lines, "")))
+
+
+def finished_shards(folder: Path) -> list[IndexRow]:
+    """Rows of the index whose shard is there as it was written; damaged lines are passed over."""
+    path = folder / INDEX_FILE
+    if not path.exists():
+        return []
+    rows = {row.shard: row for line in read_text(path).splitlines() if (row := _parsed(line)) is not None}
+    files = {row.shard: folder / SHARDS_FOLDER / row.file for row in rows.values()}
+    return [
+        row
+        for row in rows.values()
+        if files[row.shard].is_file()
+        and hashlib.sha256(read_bytes(files[row.shard])).hexdigest() == row.sha256
+    ]
+
+
+def _number(row: IndexRow) -> int:
+    return row.shard
+
+
+def _parsed(line: str) -> IndexRow | None:
+    """A line of the index, None when it is none."""
+    fields = line.split(",")
+    if len(fields) != len(COLUMNS) or not all(f.isascii() and f.isdigit() for f in (fields[0], *fields[2:])):
+        return None
+    return IndexRow(int(fields[0]), fields[1], int(fields[2]), int(fields[3]))
+
+
 def read_index(folder: Path) -> list[IndexRow]:
     """Lines of the index.
 
@@ -83,22 +139,21 @@ def read_index(folder: Path) -> list[IndexRow]:
     """
     path = folder / INDEX_FILE
     text = read_text(require_regular_file(path))
-    reader = csv.reader(io.StringIO(text, newline=""))
-    if tuple(next(reader, ())) != COLUMNS:
+    first, *lines = text.splitlines() or [""]
+    if first != ",".join(COLUMNS):
         raise InvalidInputError(f"{path}: the first line must be {','.join(COLUMNS)}")
     if not text.endswith("\n"):
         raise InvalidInputError(f"{path} is cut short; generate again, which completes it")
     rows = []
-    for number, fields in enumerate(reader, 2):
-        if len(fields) != len(COLUMNS) or not all(
-            f.isascii() and f.isdigit() for f in (fields[0], *fields[2:])
-        ):
-            raise InvalidInputError(f"{path}, line {number} is damaged; delete the line and generate again")
-        rows.append(IndexRow(int(fields[0]), fields[1], int(fields[2]), int(fields[3])))
+    for number, line in enumerate(lines, 2):
+        row = _parsed(line)
+        if row is None:
+            raise InvalidInputError(f"{path}, line {number} is damaged; generate again, which mends it")
+        rows.append(row)
     if not rows:
         raise InvalidInputError(f"{path} lists no shard; generate paths first")
     if len({row.shard for row in rows}) < len(rows):
-        raise InvalidInputError(f"{path} lists a shard twice; delete the second line")
+        raise InvalidInputError(f"{path} lists a shard twice; generate again, which mends it")
     return rows
 
 

@@ -1,11 +1,13 @@
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import locked
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, Spheroid, near_shortest
 from cvqmpt_lab.robot.loading import panda
@@ -13,8 +15,9 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.shards import FULL_SCALE
-from experiments import training_data
-from experiments.training_data import Recipe, dataset_card, generate
+from experiments import labelled_scenes, training_data
+from experiments.dataset_card import dataset_card
+from experiments.training_data import Recipe, generate
 
 TINY = Recipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
 
@@ -60,7 +63,7 @@ def test_paths_are_free_and_join_their_ends(tiny):
             checkers[scene] = CollisionChecker(robot, made)
         q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-        assert steps.max() < training_data.SPACING + 1e-3
+        assert steps.max() < labelled_scenes.SPACING + 1e-3
         # waypoints cut corners by less than a tenth of their spacing
         assert steps.sum() == pytest.approx(dataset.paths.length[path], rel=0.01)
         assert dataset.paths.length[path] >= dataset.paths.straight[path] - 1e-4
@@ -89,6 +92,22 @@ def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path):
     assert shards(tmp_path) == shards(tiny)
     with (tmp_path / "shards.csv").open() as file:
         assert {row["shard"] for row in csv.DictReader(file)} == {"000000", "000001", "000002"}
+
+
+@pytest.mark.parametrize("cut", [3, 30, 200])
+def test_a_cut_index_is_completed_to_the_same_dataset(tiny, tmp_path, cut):
+    shutil.copytree(tiny, tmp_path / "d")
+    index = tmp_path / "d" / "shards.csv"
+    whole = index.read_bytes()
+    index.write_bytes(whole[:-cut])
+    (tmp_path / "d" / "shards" / "000000.npz").write_bytes(b"damaged")
+    make(tmp_path / "d")
+    assert index.read_bytes() == whole and shards(tmp_path / "d") == shards(tiny)
+
+
+def test_a_folder_that_another_run_writes_is_refused(tiny):
+    with locked(tiny), pytest.raises(InvalidInputError, match="in use by another run"):
+        make(tiny)
 
 
 def test_another_recipe_in_the_same_folder_is_refused(tiny):
@@ -136,7 +155,7 @@ def test_spheroid_keeps_detours_short():
 
 def test_more_restarts_make_shorter_labels():
     scene = family_scene("cubes-spheres", training_data.FIRST_SCENE + 4)
-    space, lengths = training_data._space(scene), {1: [], 12: []}
+    space, lengths = labelled_scenes._space(scene), {1: [], 12: []}
     rng = np.random.default_rng(0)
     states = space.robot.random_configurations(rng, 600)
     states = [q for q in states if space.valid(q)]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
 
-from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
@@ -165,7 +165,7 @@ def test_configuration_must_be_json(tmp_path):
 
 
 def test_two_runs_cannot_share_a_directory(tmp_path):
-    with RunStore.open(tmp_path, CONFIGURATION), pytest.raises(RunStoreError, match="in use"):
+    with RunStore.open(tmp_path, CONFIGURATION), pytest.raises(InvalidInputError, match="in use"):
         RunStore.open(tmp_path, CONFIGURATION)
     RunStore.open(tmp_path, CONFIGURATION).finish()
 

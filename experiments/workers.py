@@ -1,0 +1,20 @@
+"""Processes that work for another one and do not outlive it."""
+
+import ctypes
+import multiprocessing
+import signal
+import sys
+from concurrent.futures import ProcessPoolExecutor
+
+PR_SET_PDEATHSIG = 1  # Linux: a worker ends with its parent, however that ends
+
+
+def worker_pool(workers: int) -> ProcessPoolExecutor:
+    """So many worker processes."""
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+    return ProcessPoolExecutor(workers, context, initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
