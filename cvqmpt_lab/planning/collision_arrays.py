@@ -10,7 +10,8 @@ from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, SPHERE
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.exact_checker import MOST_BALLS, carried_pairs
+from cvqmpt_lab.scene.cloud_cells import MOST_BALLS, cloud_cells
+from cvqmpt_lab.scene.exact_checker import carried_pairs
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
 
@@ -36,7 +37,7 @@ def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base."""
     solids = [item for item in scene.obstacles if not isinstance(item.shape, PointCloud)]
     clouds = [
-        _cloud(item.shape, item.T_world_object)
+        _cloud(item.shape, item.T_world_object, reach)
         for item in scene.obstacles
         if isinstance(item.shape, PointCloud)
     ]
@@ -44,26 +45,29 @@ def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), clouds=clouds)
 
 
-def _cloud(cloud: PointCloud, T: np.ndarray) -> Cloud:
-    """The balls of a cloud in the world; of a large one, balls around the octree cells of the exact checker."""
+def _cloud(cloud: PointCloud, T: np.ndarray, reach: float) -> Cloud:
+    """The balls of a cloud in the world; of a large one, balls around the cells that the exact checker sees."""
     points, radius = cloud.points, cloud.radius
     if len(points) > MOST_BALLS:
-        edge = 2.0 * radius
-        points = (np.unique(np.floor(points * (1.0 / edge)), axis=0) + 0.5) * edge
-        radius = 0.5 * np.sqrt(3.0) * edge
+        cells = cloud_cells(cloud, T, reach)
+        if cells is None:
+            return Cloud(NO_VERTICES, radius)
+        points, radius, T = cells.centres, 0.5 * np.sqrt(3.0) * cells.edge, cells.T_parent_cells
     return Cloud(points @ T[:3, :3].T + T[:3, 3], radius)
 
 
 def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
-    """A solid in plain numbers, or one ball per point of a carried cloud."""
+    """A solid in plain numbers, or the balls of a carried cloud."""
     return SPECS[type(shape)](shape, T)
 
 
 def _balls(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
-    """One ball per point."""
-    poses = np.tile(np.eye(4), (len(cloud.points), 1, 1))
-    poses[:, :3, 3] = cloud.points @ T[:3, :3].T + T[:3, 3]
-    return [ShapeSpec(SPHERE, (cloud.radius,), NO_VERTICES, pose) for pose in poses]
+    """A carried cloud, as balls around the cells that the exact checker sees."""
+    cells = cloud_cells(cloud, T)
+    assert cells is not None  # nothing is out of reach
+    poses = np.tile(np.eye(4), (len(cells.centres), 1, 1))
+    poses[:, :3, 3] = cells.centres @ cells.T_parent_cells[:3, :3].T + cells.T_parent_cells[:3, 3]
+    return [ShapeSpec(SPHERE, (0.5 * np.sqrt(3.0) * cells.edge,), NO_VERTICES, pose) for pose in poses]
 
 
 SPECS = {

@@ -16,7 +16,7 @@ from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.result import Counters, Path
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.shapes import bounding_radius
+from cvqmpt_lab.scene.exact_shapes import reach_with
 
 BACKENDS = ("compiled", "exact")
 
@@ -175,7 +175,7 @@ def _arrays(
         kinematics=kinematics,
         regions=regions,
         robot=robot,
-        scene=scene_arrays(problem.scene, _reach(problem)),
+        scene=scene_arrays(problem.scene, reach_with(problem.robot, problem.attachments)),
         tolerance=settings.tolerance,
         max_iterations=settings.max_iterations,
         step=settings.step,
@@ -197,11 +197,3 @@ def _callback(checker: CollisionChecker | None, n: int) -> tuple[kernels.StateCh
     query = np.zeros(n)
     valid = None if checker is None else lambda q: not checker.in_collision(q)
     return kernels.StateCheck(valid, query), query
-
-
-def _reach(problem: PlanningProblem) -> float:
-    """Half edge [m] of the cube that the robot and what it carries cannot leave."""
-    carried = [
-        float(np.linalg.norm(a.T_hand_object[:3, 3])) + bounding_radius(a.shape) for a in problem.attachments
-    ]
-    return problem.robot.reach + max(carried, default=0.0)

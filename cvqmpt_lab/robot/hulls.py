@@ -8,6 +8,11 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.arrays import in_link
 from cvqmpt_lab.robot.robot import LinkGeometry
 
+FARTHEST = 1e4
+"""[m] from the origin of its frame, of a vertex."""
+THINNEST = 1e-6
+"""[m] of a mesh up to 1 m across; of a larger one in proportion."""
+
 
 def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
     """Every collision mesh becomes its convex hull."""
@@ -16,17 +21,29 @@ def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
         if isinstance(shape, coal.BVHModelBase):
             if shape.num_vertices == 0:
                 raise InvalidInputError(f"collision mesh {item.meshPath or item.name} is empty")
-            try:
-                shape.buildConvexHull(True, "Qt")
-            except (ValueError, RuntimeError) as error:
-                raise InvalidInputError(
-                    f"collision mesh {item.meshPath or item.name} has no volume: its convex hull is flat"
-                ) from error
+            require_volume(np.array(shape.vertices()), f"collision mesh {item.meshPath or item.name}")
+            shape.buildConvexHull(True, "Qt")
             item.geometry = shape.convex
 
 
+def require_volume(points: np.ndarray, what: str) -> None:
+    """InvalidInputError for points (n, 3) that are too far away, or whose hull is too thin, for Qhull (it crashes)."""
+    farthest = float(np.abs(points).max())
+    if not farthest <= FARTHEST:
+        raise InvalidInputError(f"{what} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: give metres")
+    centred = points - points.mean(axis=0)
+    along = np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2].T, axis=0)
+    thickness = float(along.min()) if len(points) > 3 else 0.0
+    least = THINNEST * max(1.0, float(along.max()))
+    if not thickness >= least:
+        raise InvalidInputError(
+            f"{what} is {thickness:.2g} m thick, less than {least:.2g}: give a mesh with volume, or a box"
+        )
+
+
 def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
-    """The convex hull of points (n, 3) [m], as coal sees it."""
+    """The convex hull of points (n, 3) [m], as coal sees it; InvalidInputError where it has no volume."""
+    require_volume(points, "a convex mesh")
     listed = coal.StdVec_Vec3s()
     listed.extend(list(points))
     return coal.Convex.convexHull(listed, True, "Qt")

@@ -1,33 +1,52 @@
 """Exact collision checking with coal: convex hulls of the links against the shapes of a scene.
 
-This file is the door to coal. The certificate and the `exact` backend use it.
+The certificate and the `exact` backend use it. Links against each other are pinocchio's pairs; links against
+obstacles are coal's broad phases, one a link and one for the world, so that ten thousand obstacles cost no pairs.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.sweep import Sweep
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, bounding_radius
+from cvqmpt_lab.scene.exact_shapes import Solid, obstacles_within, reach_with, solids, transform
+from cvqmpt_lab.scene.scene import Scene
 
-MOST_BALLS = 1000  # clouds of more points are checked as octrees, whose cells are only roughly the balls
+SWELLINGS = (1e-3, 1e-2, 0.05, 0.25)
+"""[m] by which the boxes of obstacles are swelled in a broad phase, so that it reports what is that close."""
+FARTHEST = 1e100
+"""[m] beyond this, coal found no pair to measure."""
+ROUNDING = 1e-6
+"""[m] coal's distances are no better than this."""
 
 
 @dataclass(frozen=True)
 class CollidingPair:
-    """Names of two pieces that overlap, or are closest."""
+    """Two pieces that overlap, or are closest."""
 
     first: str
+    """Name of a piece of the robot or of what it carries."""
     second: str
+    """Name of another one, or of an obstacle."""
 
     def __str__(self) -> str:
         return f"{self.first} and {self.second}"
+
+
+class _World(NamedTuple):
+    """Obstacles in a broad phase."""
+
+    phase: coal.DynamicAABBTreeCollisionManager
+    objects: list[coal.CollisionObject]
+    """They must outlive the broad phase."""
+    boxes: np.ndarray
+    """(2, o, 3), lower and upper corners of the boxes around them [m]."""
 
 
 class CollisionChecker:
@@ -43,104 +62,183 @@ class CollisionChecker:
     def __init__(
         self, robot: Robot, scene: Scene, attachments: Sequence[Attachment] = (), margin: float = 0.0
     ) -> None:
-        self.robot = robot
-        self._model = robot.model
-        self._geometry = _paired_geometry(robot, scene, attachments)
-        self._data = self._model.createData()
-        self._geometry_data = pin.GeometryData(self._geometry)
-        for request in self._geometry_data.collisionRequests:
+        self.robot, self._margin = robot, margin
+        self._model, self._data = robot.model, robot.model.createData()
+        self._geometry = _robot_geometry(robot, attachments)
+        self._own_results = pin.GeometryData(self._geometry)
+        for request in self._own_results.collisionRequests:
             request.security_margin = margin
             request.enable_contact = (
                 True  # without, coal calls some pairs free that overlap by half a millimetre
             )
-        self._manager = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, self._geometry, self._geometry_data
+        self._own = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
+            self._model, self._geometry, self._own_results
         )
+        phases = list(enumerate(self._own.getBroadPhaseManagers()))[:0:-1]  # tip first, without the base
+        links = [(k, phase.getManager(), phase.getCollisionObjects()) for k, phase in phases]
+        self._links = [link for link in links if link[1].size() > 0]
+        objects = self._geometry.geometryObjects
+        self._pieces = [item.name for k, *_ in self._links for item in objects if item.parentJoint == k]
+        self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments)))
+        self._worlds: dict[float, _World] = {}
+        self._callback = coal.CollisionCallBackDefault()
+        self._callback.data.request.enable_contact = True
+        self._sweep = Sweep(robot, self._geometry, [k for k, *_ in self._links])
 
     def in_collision(self, q: np.ndarray) -> bool:
         """Whether configuration q (n,) touches anything. About 20 us."""
-        return bool(pin.computeCollisions(self._model, self._data, self._manager, q, True))
+        if pin.computeCollisions(self._model, self._data, self._own, q, True):
+            return True
+        return self._meets_obstacle(np.full(len(self._links), self._margin))
 
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) touches anything, (b,) bool."""
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
+    def clear_of_obstacles(self, q: np.ndarray, hull: np.ndarray) -> bool:
+        """Whether the robot surely touches no obstacle at any configuration in the hull of corners (k, n).
+
+        q (n,) lies in the hull: distances there are compared with how far any point of a link can move.
+        "No" may mean "not known".
+        """
+        self._pose(q)
+        moved = self._sweep.in_world(self._data, hull - q) + self._margin + ROUNDING
+        return moved.max(initial=0.0) <= SWELLINGS[-1] and not self._meets_obstacle(moved)
+
+    def clear_of_itself(self, q: np.ndarray, hull: np.ndarray) -> bool:
+        """The same for links and what is carried against each other."""
+        if len(self._geometry.collisionPairs) == 0:
+            return True
+        self._pose(q)
+        moved = self._sweep.between(self._data, hull - q) + self._margin + ROUNDING
+        nearest = pin.computeDistances(self._geometry, self._own_results)
+        found = self._own_results.distanceResults
+        if found[nearest].min_distance > moved.max():
+            return True
+        return all(found[k].min_distance > gap for k, gap in enumerate(moved.tolist()))
+
+    def _pose(self, q: np.ndarray) -> None:
+        """Put every piece where it is at q, and the Jacobians of all joints into the data."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results)
+        self._own.update()
+
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """The first overlapping pair by name, or None."""
-        pin.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, q, False)
-        for k, result in enumerate(self._geometry_data.collisionResults):
+        pin.computeCollisions(self._model, self._data, self._geometry, self._own_results, q, False)
+        for k, result in enumerate(self._own_results.collisionResults):
             if result.isCollision():
-                return self._names(k)
+                return self._own_pair(k)
+        self._own.update()
+        request = self._callback.data.request
+        request.security_margin = self._margin
+        gaps, pieces, obstacles = self._box_gaps()
+        for j, i in np.argwhere(self._margin >= gaps.T):
+            result = coal.CollisionResult()
+            if coal.collide(pieces[i], obstacles[j], request, result):
+                return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
 
     def clearance(self, q: np.ndarray) -> float:
         """Smallest distance of all pairs [m]; zero or negative (penetration) in collision, inf without pairs."""
-        return self.nearest_pair(q)[1]
+        nearest = self._own_distance(q)[1]
+        self._own.update()
+        callback = coal.DistanceCallBackDefault()
+        for _, manager, _ in self._links:
+            manager.distance(self._world(0.0).phase, callback)
+            nearest = min(nearest, callback.data.result.min_distance)
+        return nearest if nearest < FARTHEST else np.inf
 
     def nearest_pair(self, q: np.ndarray) -> tuple[CollidingPair | None, float]:
         """The closest pair and its signed distance [m]."""
-        if len(self._geometry.collisionPairs) == 0:
-            return None, np.inf
-        k = pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
-        return self._names(k), float(self._geometry_data.distanceResults[k].min_distance)
+        pair, nearest = self._own_distance(q)
+        self._own.update()
+        gaps, pieces, obstacles = self._box_gaps()
+        request = coal.DistanceRequest()
+        for flat in np.argsort(gaps, axis=None):
+            i, j = divmod(int(flat), max(len(obstacles), 1))
+            if gaps[i, j] > max(nearest, 0.0):
+                break
+            distance = coal.distance(pieces[i], obstacles[j], request, coal.DistanceResult())
+            if distance < nearest:
+                nearest, pair = distance, CollidingPair(self._pieces[i], self._obstacles[j].name)
+        return pair, float(nearest)
 
-    def _names(self, pair_index: int) -> CollidingPair:
-        pair = self._geometry.collisionPairs[pair_index]
-        objects = self._geometry.geometryObjects
+    def _world(self, swelling: float) -> "_World":
+        """The obstacles in boxes that are swelled [m]."""
+        if swelling not in self._worlds:
+            objects = [
+                coal.CollisionObject(item.shape, transform(item.T_parent_shape)) for item in self._obstacles
+            ]
+            for item in objects:
+                item.getAABB().expand(np.full(3, swelling))
+            phase = coal.DynamicAABBTreeCollisionManager()
+            phase.registerObjects(objects)
+            phase.setup()
+            self._worlds[swelling] = _World(phase, objects, _boxes(objects))
+        return self._worlds[swelling]
+
+    def _meets_obstacle(self, margins: np.ndarray) -> bool:
+        """Whether a link, where the broad phase has it now, is closer to an obstacle than its margin [m]."""
+        data = self._callback.data
+        for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
+            swelling = next((s for s in (self._margin, *SWELLINGS) if s >= margin), margin)
+            data.request.security_margin = margin
+            manager.collide(self._world(swelling).phase, self._callback)
+            if data.result.isCollision():
+                return True
+        return False
+
+    def _box_gaps(self) -> tuple[np.ndarray, list, list]:
+        """Distances (p, o) between the boxes around pieces and obstacles [m], and these as coal's objects."""
+        pieces, (_, obstacles, boxes) = (
+            [item for *_, objects in self._links for item in objects],
+            self._world(0.0),
+        )
+        own = _boxes(pieces)
+        apart = np.maximum(own[0][:, None] - boxes[1], boxes[0] - own[1][:, None])
+        return np.linalg.norm(np.maximum(apart, 0.0), axis=2), pieces, obstacles
+
+    def _own_distance(self, q: np.ndarray) -> tuple[CollidingPair | None, float]:
+        """The closest of the robot's own pairs and its distance [m]; poses are ready after it."""
+        if len(self._geometry.collisionPairs) == 0:
+            pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
+            return None, np.inf
+        k = pin.computeDistances(self._model, self._data, self._geometry, self._own_results, q)
+        return self._own_pair(k), float(self._own_results.distanceResults[k].min_distance)
+
+    def _own_pair(self, index: int) -> CollidingPair:
+        pair, objects = self._geometry.collisionPairs[index], self._geometry.geometryObjects
         return CollidingPair(objects[pair.first].name, objects[pair.second].name)
 
 
-def _paired_geometry(robot: Robot, scene: Scene, attachments: Sequence[Attachment]) -> pin.GeometryModel:
-    """The robot's geometry with obstacles and attachments added, and the pairs to check."""
+def _boxes(objects: list) -> np.ndarray:
+    """Lower and upper corners of the boxes around coal's objects, (2, k, 3) [m]."""
+    boxes = [item.getAABB() for item in objects]
+    return np.array([[box.min_ for box in boxes], [box.max_ for box in boxes]]).reshape(2, -1, 3)
+
+
+def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
+    """The robot's geometry and what it carries, with the pairs to check."""
     geometry = robot.collision_model.copy()
-    n_links = geometry.ngeoms
     hand = robot.model.frames[robot.model.getFrameId(robot.end_effector)]
-    carried = []
-    for item in attachments:
-        placement = hand.placement * pin.SE3(item.T_hand_object)
-        shape = coal_shape(item.shape)
-        carried.append(
-            geometry.addGeometryObject(pin.GeometryObject(item.name, hand.parentJoint, placement, shape))
-        )
-    obstacles: list[int] = []
-    for obstacle in scene.objects:
-        if obstacle.obstacle and _within_reach(obstacle, robot, attachments):
-            for shape, T_world_shape in _pieces(obstacle):
-                name = obstacle.name if shape is obstacle.shape else f"{obstacle.name}/{len(obstacles)}"
-                piece = pin.GeometryObject(name, 0, pin.SE3(T_world_shape), coal_shape(shape))
-                obstacles.append(geometry.addGeometryObject(piece))
-    moving = [i for i in range(n_links) if geometry.geometryObjects[i].parentJoint != 0]
-    for k in obstacles:
-        for i in (*moving, *carried):
-            geometry.addCollisionPair(pin.CollisionPair(i, k))
-    for i in range(n_links):
-        for k in carried:
-            if not _near_in_tree(robot, geometry.geometryObjects[i].parentJoint, hand.parentJoint):
-                geometry.addCollisionPair(pin.CollisionPair(i, k))
+    carried = [
+        [
+            geometry.addGeometryObject(_carried(piece, hand))
+            for piece in solids(item.name, item.shape, item.T_hand_object, most_balls=0)
+        ]
+        for item in attachments
+    ]
+    for i, k in carried_pairs(robot, attachments):
+        for piece in carried[k]:
+            geometry.addCollisionPair(pin.CollisionPair(i, piece))
     return geometry
 
 
-def _pieces(item: SceneObject) -> list[tuple[Shape, np.ndarray]]:
-    """The object itself, or the balls of a small point cloud; a large cloud stays one octree."""
-    if not isinstance(item.shape, PointCloud) or len(item.shape.points) > MOST_BALLS:
-        return [(item.shape, item.T_world_object)]
-    balls: list[tuple[Shape, np.ndarray]] = []
-    for point in item.shape.points:
-        T_object_ball = np.eye(4)
-        T_object_ball[:3, 3] = point
-        balls.append((Sphere(item.shape.radius), item.T_world_object @ T_object_ball))
-    return balls
-
-
-def _within_reach(item: SceneObject, robot: Robot, attachments: Sequence[Attachment]) -> bool:
-    """Whether an obstacle's bounding ball meets the ball around the base that the robot cannot leave."""
-    if isinstance(item.shape, PointCloud):
-        return True
-    carried = max(
-        (np.linalg.norm(a.T_hand_object[:3, 3]) + bounding_radius(a.shape) for a in attachments), default=0.0
-    )
-    distance = np.linalg.norm(item.T_world_object[:3, 3]) - bounding_radius(item.shape)
-    return bool(distance <= robot.reach + carried)
+def _carried(piece: Solid, hand: pin.Frame) -> pin.GeometryObject:
+    """A solid in the hand as pinocchio's geometry."""
+    placement = hand.placement * pin.SE3(piece.T_parent_shape)
+    return pin.GeometryObject(piece.name, hand.parentJoint, placement, piece.shape)
 
 
 def _near_in_tree(robot: Robot, a: int, b: int) -> bool:
@@ -159,29 +257,3 @@ def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple
         for i, joint in enumerate(joints)
         if not _near_in_tree(robot, joint, frame.parentJoint)
     ]
-
-
-def shape_distance(
-    first: coal.CollisionGeometry,
-    T_world_first: np.ndarray,
-    second: coal.CollisionGeometry,
-    T_world_second: np.ndarray,
-) -> float:
-    """Signed distance [m] of two shapes of `coal_shape`; negative where they overlap."""
-    poses = [coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (T_world_first, T_world_second)]
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    return float(coal.distance(first, poses[0], second, poses[1], request, result))
-
-
-def coal_shape(shape: Shape) -> coal.CollisionGeometry:
-    """The coal geometry of a shape; a point cloud becomes an octree with cells of its ball diameter."""
-    return COAL_SHAPES[type(shape)](shape)
-
-
-COAL_SHAPES = {
-    Box: lambda box: coal.Box(*box.size),
-    Cylinder: lambda cylinder: coal.Cylinder(cylinder.radius, cylinder.height),
-    Sphere: lambda sphere: coal.Sphere(sphere.radius),
-    ConvexMesh: lambda mesh: convex_hull(mesh.vertices),
-    PointCloud: lambda cloud: coal.makeOctree(cloud.points, 2.0 * cloud.radius),
-}

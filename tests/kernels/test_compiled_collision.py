@@ -10,7 +10,9 @@ from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.exact_checker import MOST_BALLS, CollisionChecker, coal_shape
+from cvqmpt_lab.scene.cloud_cells import MOST_BALLS, cloud_cells
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.exact_shapes import octree
 from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
@@ -176,9 +178,18 @@ def test_cells_of_large_clouds_are_the_octree_s(panda, on_border):
     if on_border:
         points = np.round(points / (2.0 * radius)) * (2.0 * radius)
     cloud = PointCloud(points, radius)
-    cells = np.array(coal_shape(cloud).toBoxes())[:, :3]
+    cells = cloud_cells(cloud, np.eye(4), 1.2)
+    boxes = np.array(octree(cells).toBoxes())
+    assert (
+        np.round((boxes[:, 3] / cells.edge) ** 3).sum()
+        == len(cells.centres)
+        == len(np.unique(cells.centres, axis=0))
+    )
+    centres = (
+        boxes[boxes[:, 3] < 1.5 * cells.edge, :3] + cells.T_parent_cells[:3, 3]
+    )  # those not merged with others
     arrays = scene_arrays(Scene("cloud", (SceneObject("cloud", cloud, np.eye(4)),)), 1.2)
-    assert KDTree(arrays.points).query(cells)[0].max() < 1e-9
+    assert KDTree(arrays.points).query(centres)[0].max() < 1e-9
 
 
 def test_clouds_with_nan_are_refused():

@@ -19,7 +19,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.scene.articulation import DEEPEST, REST_GAP, take_out
-from cvqmpt_lab.scene.exact_checker import CollisionChecker, coal_shape, shape_distance
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.exact_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box

@@ -1,14 +1,22 @@
 """The exact checker: names, distances, margins, attachments, and broad phase against the pair loop."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.cloud_cells import cloud_cells
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.exact_shapes import octree
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from experiments.suites.place_task import carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
@@ -188,3 +196,86 @@ def test_a_cloud_is_its_balls(panda):
     expected = CollisionChecker(panda, scene_with(*balls)).in_collision_batch(states)
     answers = CollisionChecker(panda, scene_with(cloud)).in_collision_batch(states)
     assert (answers != expected).mean() < 0.01
+
+
+def cluster(count=1500):
+    """Points around the hand."""
+    return ahead(HOME) + np.random.default_rng(6).uniform(-0.05, 0.05, (count, 3))
+
+
+def ahead(q):
+    return robot_from_source({"name": "panda"}).pose(q)[:3, 3]
+
+
+def backends(robot, scene, q):
+    """Answers of the exact and of the compiled checker."""
+    problem = PlanningProblem("cloud", robot, scene, HOME, HOME[None])
+    return CollisionChecker(robot, scene).in_collision(q), not ConstrainedSpace(problem).valid(q)
+
+
+@pytest.mark.parametrize(
+    ("shift", "radius"), [(0.0, 0.005), (330.0, 0.005), (-1e6, 0.005), (0.0, 1e-6), (0.0, 1e-9)]
+)
+def test_large_clouds_are_seen_wherever_their_origin_lies(panda, shift, radius):
+    """An octree silently drops what lies more than 2^15 cells from its origin: the cloud was free to plan through."""
+    cloud = PointCloud(cluster() + (shift, 0.0, 0.0), radius)
+    scene = scene_with(SceneObject("cloud", cloud, pose((-shift, 0.0, 0.0))))
+    assert backends(panda, scene, HOME) == (True, True)
+    away = HOME + 1.5 * np.eye(7)[0]
+    assert backends(panda, scene, away) == (False, False)
+    assert CollisionChecker(panda, scene).clearance(HOME) < 0.0
+
+
+@pytest.mark.parametrize("count", [10, 1500])
+def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
+    scene = scene_with(SceneObject("cloud", PointCloud(cluster(count) + 50.0, 0.005), np.eye(4)))
+    checker = CollisionChecker(panda, scene)
+    assert checker.clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
+    assert backends(panda, scene, HOME) == (False, False)
+
+
+def test_every_cell_of_a_cloud_is_in_its_octree():
+    rng = np.random.default_rng(7)
+    for radius, spread in ((0.01, 1.0), (1e-4, 1.0), (0.01, 0.05)):
+        cells = cloud_cells(PointCloud(rng.uniform(-spread, spread, (3000, 3)), radius), np.eye(4))
+        boxes = np.array(octree(cells).toBoxes())
+        assert np.round((boxes[:, 3] / cells.edge) ** 3).sum() == len(cells.centres)
+
+
+def test_ten_thousand_obstacles_are_ready_in_two_seconds(panda):
+    places = np.random.default_rng(8).uniform(-0.8, 0.8, (10_000, 3)) + (0.0, 0.0, 1.6)
+    scene = scene_with(*(SceneObject(f"box{i}", Box((0.005,) * 3), pose(p)) for i, p in enumerate(places)))
+    began = time.process_time()
+    checker = CollisionChecker(panda, scene)
+    checker.in_collision(HOME)
+    assert time.process_time() - began < 2.0
+    up = np.array([0.0, 0.0, 0.0, -0.1, 0.0, 1.57, 0.0])
+    assert checker.in_collision(up) and checker.colliding_pair(up).second.startswith("box")
+
+
+@pytest.mark.parametrize(
+    ("attachment", "message"),
+    [
+        (
+            Attachment("pole", Box((0.1,) * 3), pose((50.0, 0.0, 0.0))),
+            r"attachment 'pole' reaches 50\.1 m, more than 20",
+        ),
+        (Attachment("mast", Cylinder(0.01, 1000.0), np.eye(4)), r"attachment 'mast' reaches 500 m"),
+    ],
+)
+def test_misplaced_units_are_named_before_they_take_memory(panda, attachment, message):
+    with pytest.raises(InvalidInputError, match=message):
+        CollisionChecker(panda, NOTHING, (attachment,))
+
+
+@pytest.mark.parametrize(
+    ("vertices", "message"),
+    [
+        ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]], "1e-09 m thick"),
+        (1e100 * np.eye(4)[:, :3], r"1e\+100 m, beyond 10000"),
+    ],
+)
+def test_meshes_that_would_crash_are_refused(panda, vertices, message):
+    mesh = SceneObject("mesh", ConvexMesh(np.array(vertices, dtype=float)), pose((0.4, 0.0, 0.4)))
+    with pytest.raises(InvalidInputError, match=message):
+        CollisionChecker(panda, scene_with(mesh))
