@@ -59,7 +59,9 @@ def _verdict(solution: Solution) -> str:
     certificate = solution.certificate
     assert certificate is not None
     verdict = "valid" if certificate.valid else "INVALID: " + "; ".join(certificate.reasons)
-    return f"{verdict} ({certificate.states_checked} states, clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
+    gaps = f", {certificate.unproven_rad:.1g} rad not proven" if certificate.unproven_rad > 0 else ", no gaps"
+    seen = f"{certificate.states_checked} states{gaps if certificate.valid else ''}"
+    return f"{verdict} ({seen}, clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
 
 
 def as_json(solution: Solution, planner: str) -> str:

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import nnls
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.attachment import Attachment

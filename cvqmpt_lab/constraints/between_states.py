@@ -1,0 +1,109 @@
+"""The largest violation of task-space regions along a path, between its states as well."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.robot.robot import Robot
+
+BEND = 2.81
+"""No entry of the rotation vector has a larger second derivative, per squared sum of the joints' turns: the left
+Jacobian's inverse is at most pi / 2, its derivative 1.29, and the angular velocity changes at most by half."""
+RATE = 0.5 * np.pi
+"""Nor a larger first one, up to angle pi, where the rotation vector changes its sign."""
+MOST_HALVINGS = 12
+
+
+@dataclass(frozen=True)
+class Violation:
+    """Largest distance outside the bounds of regions, at the states looked at."""
+
+    radians: float
+    """[rad]"""
+    metres: float
+    """[m]"""
+    largest: float
+    """Bound on either at any state, between those looked at too [m, rad]."""
+    at: np.ndarray | None
+    """(n,), the worst state, or None without regions."""
+
+
+def largest_violation(
+    robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray, spacing: float, tolerance: float
+) -> Violation:
+    """How far straight joint motions through states (m, n), m >= 1, leave regions, by pinocchio.
+
+    Looks every `spacing` [rad], and closer where what may happen in between could exceed `tolerance` [m, rad], down to
+    a state that violates more than that.
+    """
+    radians = metres = highest = 0.0
+    at, most = None, -np.inf
+    begin = evenly_spaced(states, spacing)
+    for region in regions:
+        q, use = begin, None
+        for _ in range(MOST_HALVINGS):
+            use = _use(robot, region, q)
+            doubtful = use.highest + use.between > tolerance
+            if use.outside.max() > tolerance or not doubtful.any():
+                break
+            middles = 0.5 * (q[:-1] + q[1:])[doubtful]
+            q = np.insert(q, np.flatnonzero(doubtful) + 1, middles, axis=0)
+        assert use is not None
+        radians, metres = max(radians, use.radians), max(metres, use.metres)
+        highest = max(highest, float((use.highest + use.between).max(initial=use.outside.max())))
+        if use.outside.max() > most:
+            most, at = float(use.outside.max()), q[int(use.outside.argmax())]
+    return Violation(radians, metres, highest, at)
+
+
+def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
+    """States (m, n) with the straight segments between them cut into pieces of at most spacing [rad]."""
+    lengths = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    counts = np.maximum(1, np.ceil(lengths / spacing)).astype(int)
+    segment = np.repeat(np.arange(len(counts)), counts)
+    share = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[segment]
+    cut = states[segment] + share[:, None] * (states[segment + 1] - states[segment])
+    return np.concatenate([states[:1], cut])
+
+
+@dataclass(frozen=True)
+class _Use:
+    """A region along m states, and the m - 1 stretches between them."""
+
+    outside: np.ndarray
+    """(m,) distance outside the bounds, negative inside [m, rad]."""
+    radians: float
+    """Largest of the rotation entries [rad]."""
+    metres: float
+    """Largest of the positions [m]."""
+    highest: np.ndarray
+    """(m - 1,) the larger `outside` of a stretch's ends [m, rad]."""
+    between: np.ndarray
+    """(m - 1,) what may be added inside the stretch [m, rad]."""
+
+
+def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray) -> _Use:
+    x, (lower, upper) = displacements(robot, region, q), region.Bw.T
+    rows = region.bounded_rows
+    excess = np.full_like(x, -np.inf)
+    excess[:, rows] = np.maximum(lower - x, x - upper)[:, rows]
+    outside = excess.max(axis=1)
+    change = np.abs(np.diff(q, axis=0))
+    slides = robot.kinematics.prismatic
+    turn, slide = change[:, ~slides].sum(1), change[:, slides].sum(1)
+    angle = np.linalg.norm(x[:, 3:], axis=1)
+    flips = np.maximum(angle[:-1], angle[1:]) + RATE * turn > np.pi
+    rotation = np.where(flips, 0.5 * RATE * turn, BEND / 8.0 * turn**2)
+    lever = 2.0 * robot.reach + np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])
+    position = 0.25 * turn * (lever * turn + slide)
+    between = np.maximum(rotation * bool((rows >= 3).any()), position * bool((rows < 3).any()))
+    return _Use(
+        outside,
+        max(float(excess[:, 3:].max()), 0.0),
+        max(float(excess[:, :3].max()), 0.0),
+        np.maximum(outside[:-1], outside[1:]),
+        between,
+    )

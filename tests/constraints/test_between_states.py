@@ -1,0 +1,69 @@
+"""Violations between the states of a path: bounded from a few of them, also where the rotation vector flips."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.between_states import evenly_spaced, largest_violation
+from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion, upright
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+
+
+def dense(robot, region, states, spacing=5e-4):
+    """The largest distance outside a region at very many states."""
+    x, (lower, upper) = displacements(robot, region, evenly_spaced(states, spacing)), region.Bw.T
+    return float(np.maximum(lower - x, x - upper)[:, region.bounded_rows].max())
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 0.1])
+@pytest.mark.parametrize("kind", ["upright", "pose", "slider"])
+def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
+    robot = slider_arm if kind == "slider" else panda
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        states = robot.random_configurations(rng, 1) + np.cumsum(
+            rng.normal(0.0, 0.03, (4, robot.dof)), axis=0
+        )
+        region = upright()
+        if kind != "upright":
+            region = TaskSpaceRegion(robot.pose(states[0]), np.eye(4), np.array([(-0.02, 0.02)] * 6))
+        found, truth = (
+            largest_violation(robot, (region,), states, 0.04, tolerance),
+            dense(robot, region, states),
+        )
+        assert truth <= found.largest + 1e-9
+        assert max(found.radians, found.metres) <= max(truth, 0.0) + 2e-3
+        if truth <= 0.5 * tolerance:
+            assert found.largest <= tolerance
+
+
+def test_a_kink_between_two_good_states_is_found(panda):
+    """Only the middle of a motion is tilted; both its ends keep upright to 1e-4."""
+    manifold = RegionConstraint(panda, (upright(0.0),))
+    a, b = (manifold.project(HOME + (0.0, d, 0.0, 0.0, 0.0, d, 0.0)) for d in (-0.05, 0.05))
+    bent = np.array([a, 0.5 * (a + b) + 2e-3 * np.eye(7)[5], b])
+    assert largest_violation(panda, (upright(1e-4),), bent[[0, 2]], 1.0, 1e-3).largest <= 1e-3
+    assert largest_violation(panda, (upright(1e-4),), bent, 1.0, 1e-3).largest > 1e-3
+
+
+def test_flips_at_angle_pi_are_no_violation_of_symmetric_bounds(panda):
+    """Seen from a frame turned by pi about the vertical, the arm swings through the sign change of the vector."""
+    half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    region = replace(upright(0.02), T0_w=upright().T0_w @ half_turn)
+    manifold = RegionConstraint(panda, (region,))
+    states = [manifold.project(np.array([-0.8, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))]
+    for _ in range(40):
+        states.append(manifold.project(states[-1] + 0.04 * np.eye(7)[0]))
+    states = np.array(states)
+    x = displacements(panda, region, states)
+    assert np.abs(np.diff(x[:, 3])).max() > 6.0, "no flip, nothing tested"
+    wider = replace(region, Bw=upright(0.021).Bw)
+    assert largest_violation(panda, (wider,), states, 0.04, 1e-3).largest <= 1e-3
+
+
+def test_no_regions_no_violation(panda):
+    found = largest_violation(panda, (), np.array([HOME, HOME + 0.1]), 0.04, 1e-3)
+    assert (found.radians, found.metres, found.largest, found.at) == (0.0, 0.0, 0.0, None)

@@ -1,0 +1,60 @@
+"""Motions proven free: no sample of them collides, however fine; and what samples find, the proof finds."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.motion_proof import prove_free
+from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud
+from experiments.suites.place_task import carried_can
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+
+
+def sampled(motion, spacing):
+    """States of straight motions through rows of motion, at most `spacing` [rad] apart."""
+    return np.concatenate(
+        [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / spacing)) for a, b in pairwise(motion)]
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_proofs_and_samples_agree(panda, open_kitchen, seed):
+    """Motions of three segments from free states: proven free, or seen to collide, and never both."""
+    scene = open_kitchen if seed == 0 else random_scene(seed)
+    checker = CollisionChecker(panda, scene, (carried_can(),) if seed == 2 else ())
+    rng = np.random.default_rng(seed)
+    starts = [q for q in panda.random_configurations(rng, 160) if not checker.in_collision(q)][:60]
+    verdicts = []
+    for q in starts:
+        motion = q + np.cumsum(rng.normal(0.0, 0.06, (4, 7)), axis=0)
+        proof = prove_free(checker, motion)
+        hits = checker.in_collision_batch(sampled(motion, 0.005)).any()
+        assert not (hits and proof.colliding is None)
+        if proof.colliding is None:
+            assert proof.unproven < 1e-3 and not checker.in_collision_batch(sampled(motion, 0.001)).any()
+        else:
+            assert checker.in_collision(proof.colliding)
+        verdicts.append(proof.colliding is None)
+    assert 5 < sum(verdicts) < 60
+
+
+def test_a_cloud_is_proven_like_any_obstacle(panda):
+    down = np.array([HOME, HOME + (0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0)])
+    points = panda.pose(down[1])[:3, 3] + np.random.default_rng(0).uniform(-0.02, 0.02, (2000, 3))
+    checker = CollisionChecker(
+        panda, Scene("cloud", (SceneObject("cloud", PointCloud(points, 0.002), np.eye(4)),))
+    )
+    assert not checker.in_collision(HOME) and prove_free(checker, down).colliding is not None
+    aside = np.array([HOME, HOME + 0.5 * np.eye(7)[0]])
+    assert prove_free(checker, aside).colliding is None and prove_free(checker, aside).unproven == 0.0
+
+
+def test_standing_still_is_one_look(panda, open_kitchen):
+    checker = CollisionChecker(panda, open_kitchen)
+    proof = prove_free(checker, np.array([HOME, HOME]))
+    assert proof.colliding is None and proof.looks == 2 and len(proof.tightest) == 1
