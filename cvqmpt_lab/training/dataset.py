@@ -17,7 +17,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.training.link_positions import SerialChain
-from cvqmpt_lab.training.paths import Labels, Paths, Scenes, thinned
+from cvqmpt_lab.training.paths import Labels, Paths, Scenes, Shapes, thinned
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     INDEX_FILE,
@@ -139,9 +139,11 @@ def _scenes(shards: list[Arrays]) -> Scenes:
         family=_together(shards, "family"),
         seed=_together(shards, "scene_seed"),
         shape_start=_ranges(shards, "shape_start", "shape_kind"),
-        shape_kind=_together(shards, "shape_kind"),
-        shape_size=_together(shards, "shape_size").astype(np.float32),
-        shape_pose=_together(shards, "shape_pose").astype(np.float32),
+        shape=Shapes(
+            _together(shards, "shape_kind"),
+            _together(shards, "shape_size").astype(np.float32),
+            _together(shards, "shape_pose").astype(np.float32),
+        ),
         probes=_labels(shards, "probe"),
         edges=_labels(shards, "edge"),
     )

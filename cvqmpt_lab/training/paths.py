@@ -19,8 +19,23 @@ class Labels:
 
 
 @dataclass(frozen=True, eq=False)
+class Shapes:
+    """Boxes, cylinders and spheres, m of them."""
+
+    kind: np.ndarray
+    """(m,) uint8: 0 box, 1 cylinder, 2 sphere."""
+    size: np.ndarray
+    """(m, 3) float32 [m]: edges; radius, radius, height (axis z); radius three times."""
+    pose: np.ndarray
+    """(m, 3, 4) float32: T_world_shape [m]."""
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass(frozen=True, eq=False)
 class Scenes:
-    """Shapes of all s scenes, m of them in all."""
+    """All s scenes, m shapes in all."""
 
     family: np.ndarray
     """(s,) uint8: index into the dataset's families."""
@@ -28,12 +43,8 @@ class Scenes:
     """(s,) int64."""
     shape_start: np.ndarray
     """(s + 1,) int64: ranges into the shapes."""
-    shape_kind: np.ndarray
-    """(m,) uint8: 0 box, 1 cylinder, 2 sphere."""
-    shape_size: np.ndarray
-    """(m, 3) float32 [m]: edges; radius, radius, height (axis z); radius three times."""
-    shape_pose: np.ndarray
-    """(m, 3, 4) float32: T_world_shape [m]."""
+    shape: Shapes
+    """Of all scenes."""
     probes: Labels | None
     """Labelled configurations; None when a shard has none."""
     edges: Labels | None
@@ -42,10 +53,10 @@ class Scenes:
     def __len__(self) -> int:
         return len(self.seed)
 
-    def shapes(self, scene: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Kinds (m,), sizes (m, 3) and poses (m, 3, 4) of one scene's shapes."""
+    def shapes(self, scene: int) -> Shapes:
+        """Those of one scene."""
         rows = slice(int(self.shape_start[scene]), int(self.shape_start[scene + 1]))
-        return self.shape_kind[rows], self.shape_size[rows], self.shape_pose[rows]
+        return Shapes(self.shape.kind[rows], self.shape.size[rows], self.shape.pose[rows])
 
 
 @dataclass(frozen=True, eq=False)

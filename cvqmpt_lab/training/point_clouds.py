@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from cvqmpt_lab.models.config import require_sizes
+from cvqmpt_lab.training.paths import Shapes
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 _ROUNDS = 6
@@ -51,15 +52,8 @@ class CloudSettings:
         return CloudSettings(points=self.points, crop=self.crop, noise=0.0, occlusion=0.0, density=0.0)
 
 
-def sample_cloud(
-    kind: np.ndarray, size: np.ndarray, pose: np.ndarray, settings: CloudSettings, rng: np.random.Generator
-) -> np.ndarray:
+def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
     """Sample the surface of shapes, without what lies inside others or outside the crop.
-
-    Parameters
-    ----------
-    kind, size, pose
-        (m,), (m, 3), (m, 3, 4): shapes as in `paths.Scenes`.
 
     Returns
     -------
@@ -68,13 +62,13 @@ def sample_cloud(
     """
     found: list[np.ndarray] = []
     missing = settings.points
-    if len(kind):
-        weights = _areas(kind, size) * np.exp(settings.density * rng.standard_normal(len(kind)))
+    if len(shapes):
+        weights = _areas(shapes) * np.exp(settings.density * rng.standard_normal(len(shapes)))
         cameras = _cameras(settings, rng)
         chance = 0.7 if cameras is None else 0.5
         for _ in range(_ROUNDS):
             draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
-            seen = _visible_points(kind, size, pose, weights, cameras, settings.crop, draw, rng)
+            seen = _visible_points(shapes, weights, cameras, settings.crop, draw, rng)
             found.append(seen[:missing])
             missing -= len(found[-1])
             if missing == 0:
@@ -99,9 +93,9 @@ def _lowest(crop: CropSettings) -> np.ndarray:
     return np.array([below], dtype=np.float32)
 
 
-def _areas(kind: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _areas(shapes: Shapes) -> np.ndarray:
     """Surface of each shape (m,) [m^2]."""
-    x, y, z = size.T.astype(np.float64)
+    kind, (x, y, z) = shapes.kind, shapes.size.T.astype(np.float64)
     box = 2.0 * (x * y + y * z + z * x)
     cylinder = 2.0 * np.pi * x * (x + z)
     sphere = 4.0 * np.pi * x * x
@@ -121,9 +115,7 @@ def _cameras(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray | 
 
 
 def _visible_points(
-    kind: np.ndarray,
-    size: np.ndarray,
-    pose: np.ndarray,
+    shapes: Shapes,
     weights: np.ndarray,
     cameras: np.ndarray | None,
     crop: CropSettings,
@@ -133,9 +125,9 @@ def _visible_points(
     """Those of `draw` surface points that are seen, (k, 3) float32."""
     cumulated = np.cumsum(weights)
     shape = np.searchsorted(cumulated, rng.random(draw) * cumulated[-1], side="right")
-    shape = np.minimum(shape, len(kind) - 1)
-    local, normal = _surface(kind.take(shape), size.take(shape, axis=0), rng)
-    of_point = pose.reshape(-1, 12).take(shape, axis=0).reshape(-1, 3, 4)
+    shape = np.minimum(shape, len(shapes) - 1)
+    local, normal = _surface(shapes.kind.take(shape), shapes.size.take(shape, axis=0), rng)
+    of_point = shapes.pose.reshape(-1, 12).take(shape, axis=0).reshape(-1, 3, 4)
     rotation = of_point[:, :, :3]
     points = np.einsum("pij,pj->pi", rotation, local) + of_point[:, :, 3]
     kept = np.flatnonzero(_inside_crop(points, crop))
@@ -145,7 +137,7 @@ def _visible_points(
         towards = normals @ cameras.T - (normals * points).sum(1)[:, None]
         faces = (towards > 0.0).any(1)
         points, shape = points[faces], shape[faces]
-    return points[~_inside_others(points, shape, kind, size, pose)]
+    return points[~_inside_others(points, shape, shapes)]
 
 
 def _surface(kind: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -202,10 +194,9 @@ def _inside_crop(points: np.ndarray, crop: CropSettings) -> np.ndarray:
     return np.einsum("pi,pi->p", offset, offset) <= crop.radius**2
 
 
-def _inside_others(
-    points: np.ndarray, own: np.ndarray, kind: np.ndarray, size: np.ndarray, pose: np.ndarray
-) -> np.ndarray:
+def _inside_others(points: np.ndarray, own: np.ndarray, shapes: Shapes) -> np.ndarray:
     """Whether each point (p, 3) of shape `own` (p,) lies inside another shape."""
+    kind, size, pose = shapes.kind, shapes.size, shapes.pose
     rotation = pose[:, :, :3]
     origin = np.einsum("mij,mi->mj", rotation, pose[:, :, 3])  # local = R^T (x - t), all shapes at once
     axes = np.ascontiguousarray(points.T)

@@ -140,9 +140,7 @@ class SceneBatches(Dataset):
         rows = np.where(groups < 0, groups[:, :1], groups)
         scenes = paths.scene[rows[:, 0]]
         angles = [0.0 if self._turn is None else self._turn.draw(group, rng) for group in rows]
-        clouds = [
-            sample_cloud(*self._dataset.scenes.shapes(int(scene)), self._cloud, rng) for scene in scenes
-        ]
+        clouds = [sample_cloud(self._dataset.scenes.shapes(int(scene)), self._cloud, rng) for scene in scenes]
         u, counts = paths.padded(rows.ravel())
         result = {
             "cloud": np.stack([turned(cloud, angle) for cloud, angle in zip(clouds, angles, strict=True)]),

@@ -8,7 +8,7 @@ As ``cvqmpt data generate`` writes it::
     shards/NNNNNN.npz
         family (s,) uint8, scene_seed (s,) int64
         shape_start (s+1,) int32: ranges into the shapes; shape_kind (m,) uint8, shape_size (m,3) float32 and
-        shape_pose (m,3,4) float32: as in dataset.Scenes
+        shape_pose (m,3,4) float32: as in paths.Shapes
         path_scene (p,) int32: row of the scene in this shard; path_start (p+1,) int32: ranges into the waypoints
         waypoints (w,n) uint16: u * 65535, at most 0.13 rad apart along a path
         length, straight (p,) float32 [rad]; trivial (p,) bool: the straight line is free

@@ -74,9 +74,9 @@ def test_shapes_and_probes_describe_the_same_scene(tiny):
     robot, dataset = panda(), open_dataset(tiny)
     for scene in range(len(dataset.scenes)):
         made = family_scene(dataset.families[dataset.scenes.family[scene]], int(dataset.scenes.seed[scene]))
-        kind, _, pose = dataset.scenes.shapes(scene)
-        assert len(kind) == len(made.obstacles)
-        for item, T in zip(made.obstacles, pose, strict=True):
+        shapes = dataset.scenes.shapes(scene)
+        assert len(shapes) == len(made.obstacles)
+        for item, T in zip(made.obstacles, shapes.pose, strict=True):
             np.testing.assert_allclose(T, item.T_world_object[:3], atol=1e-6)
         probes = dataset.scenes.probes
         q = robot.lower + probes.joints[scene] / FULL_SCALE * (robot.upper - robot.lower)

@@ -85,7 +85,7 @@ def refinement(count, refined):
 def expected_g(dictionary, z, refined, constraint, panda, noise):
     """G (c,) with Gaussians decoded by torch and the constraint's own residual."""
     gaussians = dictionary.decode(torch.from_numpy(z))
-    mean, scale = gaussians.mean, gaussians.scale_tril
+    mean, scale = gaussians.mean, gaussians.lower * gaussians.diagonal.sqrt()[..., None, :]
     if refined is not None:
         mean = mean + torch.from_numpy(refined.shift)
         scale = torch.diag_embed(torch.from_numpy(refined.std))

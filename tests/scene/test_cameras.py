@@ -22,8 +22,9 @@ from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
-from experiments.training_data import SHAPES
+from experiments.labelled_scenes import SHAPES
 
 OCTAHEDRON = ConvexMesh(
     0.2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
@@ -202,7 +203,7 @@ def training_cloud(scene, settings, seed):
         kind, size = SHAPES[type(item.shape)](item.shape)
         kinds.append(kind), sizes.append(size), poses.append(item.T_world_object[:3])
     arrays = np.array(kinds, np.uint8), np.array(sizes, np.float32), np.array(poses, np.float32)
-    return sample_cloud(*arrays, settings, np.random.default_rng(seed))
+    return sample_cloud(Shapes(*arrays), settings, np.random.default_rng(seed))
 
 
 def gap(a, b):

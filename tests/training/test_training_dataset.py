@@ -34,7 +34,7 @@ def test_shards_are_joined_with_rows_counted_through(folder, dataset):
         np.testing.assert_array_equal(
             dataset.paths.joints(21 + path), second["waypoints"][rows] / np.float32(65535)
         )
-    np.testing.assert_array_equal(dataset.scenes.shapes(4)[1], second["shape_size"][5:10])
+    np.testing.assert_array_equal(dataset.scenes.shapes(4).size, second["shape_size"][5:10])
     np.testing.assert_array_equal(dataset.scenes.probes.free[3:], second["probe_free"])
     assert dataset.paths.twin_of[22] == 21 and dataset.paths.twin_of[21] == -1
 

@@ -13,6 +13,7 @@ from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
+from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
 from cvqmpt_lab.training.sequences import code_sequences
@@ -82,8 +83,9 @@ def test_kinematics_that_do_not_fit_are_named(change):
 # ---------------------------------------------------------------- clouds
 
 
-def distances(points, kind, size, pose):
+def distances(points, shapes):
     """Signed distance (or, inside boxes and cylinders, a lower bound of the depth) to each shape (p, m)."""
+    kind, size, pose = shapes.kind, shapes.size, shapes.pose
     local = np.einsum("mij,pmi->pmj", pose[:, :, :3], points[:, None] - pose[:, :, 3])
     box = (np.abs(local) - 0.5 * size).max(2)
     cylinder = np.maximum(
@@ -96,9 +98,9 @@ def distances(points, kind, size, pose):
 def test_points_lie_on_surfaces_and_outside_of_others(dataset):
     for scene in range(len(dataset.scenes)):
         shapes = dataset.scenes.shapes(scene)
-        cloud = sample_cloud(*shapes, PLAIN, np.random.default_rng(scene))
+        cloud = sample_cloud(shapes, PLAIN, np.random.default_rng(scene))
         assert cloud.shape == (600, 3) and cloud.dtype == np.float32
-        nearest = distances(cloud.astype(np.float64), *shapes).min(1)
+        nearest = distances(cloud.astype(np.float64), shapes).min(1)
         assert np.abs(nearest).max() < 2e-4
 
 
@@ -110,17 +112,17 @@ def one(kind, size, at=(0.3, -0.2, 0.4)):
 def test_points_are_uniform_by_area():
     settings = CloudSettings(points=20000, noise=0.0, occlusion=0.0, density=0.0, crop=PLAIN.crop)
     kind, size, pose = one(0, (0.2, 0.4, 0.6))
-    local = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    local = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
     on = (np.abs(np.abs(local) - 0.5 * size) < 1e-6).mean(0)
     areas = np.array([0.4 * 0.6, 0.2 * 0.6, 0.2 * 0.4])
     np.testing.assert_allclose(on, areas / areas.sum(), atol=0.015)
     kind, size, pose = one(1, (0.3, 0.3, 0.5))
-    local = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    local = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
     caps = np.abs(np.abs(local[:, 2]) - 0.25) < 1e-6
     assert caps.mean() == pytest.approx(0.3 / 0.8, abs=0.015)
     assert (np.hypot(*local[caps, :2].T) < 0.3 / np.sqrt(2)).mean() == pytest.approx(0.5, abs=0.02)
     kind, size, pose = one(2, (0.3, 0.3, 0.3))
-    local = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    local = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
     assert np.abs(local.mean(0)).max() < 0.01
 
 
@@ -128,7 +130,7 @@ def test_crops_noise_and_repetition(dataset):
     shapes = dataset.scenes.shapes(0)
     rng = np.random.default_rng
     for crop in (CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))):
-        cloud = sample_cloud(*shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
+        cloud = sample_cloud(shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
         if crop.kind == "ball":
             assert np.linalg.norm(cloud - np.array(crop.centre), axis=1).max() <= 0.5 + 1e-5
         else:
@@ -136,23 +138,23 @@ def test_crops_noise_and_repetition(dataset):
                 cloud <= np.array(crop.upper) + 1e-6
             ).all()
     noisy = CloudSettings(points=300, noise=0.01, occlusion=0.0, density=0.0, crop=PLAIN.crop)
-    off = np.abs(distances(sample_cloud(*shapes, noisy, rng(1)).astype(np.float64), *shapes).min(1))
+    off = np.abs(distances(sample_cloud(shapes, noisy, rng(1)).astype(np.float64), shapes).min(1))
     assert 0.003 < off.mean() < 0.02
-    one_cloud, same = (sample_cloud(*shapes, CloudSettings(), rng(3)) for _ in range(2))
+    one_cloud, same = (sample_cloud(shapes, CloudSettings(), rng(3)) for _ in range(2))
     np.testing.assert_array_equal(one_cloud, same)
 
 
 @pytest.mark.parametrize("shapes", [0, 1])
 def test_empty_and_unseen_scenes_still_give_points(shapes):
     kind, size, pose = (part[:shapes] for part in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0)))
-    cloud = sample_cloud(kind, size, pose, CloudSettings(points=50), np.random.default_rng(0))
+    cloud = sample_cloud(Shapes(kind, size, pose), CloudSettings(points=50), np.random.default_rng(0))
     assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
 
 
 def test_occlusion_hides_surfaces_that_face_away():
     settings = CloudSettings(points=500, noise=0.0, occlusion=1.0, cameras=1, density=0.0, crop=PLAIN.crop)
     kind, size, pose = one(2, (0.2, 0.2, 0.2))
-    cloud = sample_cloud(kind, size, pose, settings, np.random.default_rng(0)) - pose[0, :, 3]
+    cloud = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
     mean = cloud.mean(0)
     assert np.linalg.norm(mean) > 0.05  # less than half of a sphere is seen by one camera
     assert (cloud @ mean > 0).mean() > 0.95
@@ -162,7 +164,7 @@ def test_clouds_are_made_fast(dataset):
     rng, settings = np.random.default_rng(0), CloudSettings()
     began, count = time.process_time(), 60
     for i in range(count):
-        sample_cloud(*dataset.scenes.shapes(i % 6), settings, rng)
+        sample_cloud(dataset.scenes.shapes(i % 6), settings, rng)
     assert count / (time.process_time() - began) > 100  # 300 and more on a core of its own
 
 

@@ -1,6 +1,6 @@
 """The compact model made ready for prediction on a CPU: one token at a time, nothing computed twice.
 
-Same mathematics as `compact_transformer`, in numpy: for a few rows of one token a torch call costs several
+Same mathematics as `compact.transformer`, in numpy: for a few rows of one token a torch call costs several
 times what it computes.
 """
 

@@ -11,7 +11,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.compact.heads import CollisionHead, ConnectivityHead, RefinementHead, scene_features
 from cvqmpt_lab.models.compact.transformer import CompactLayer
 from cvqmpt_lab.models.config import ModelConfig
-from cvqmpt_lab.models.decoding.step_decoder import PrefixDecoder, rows_per_scene
+from cvqmpt_lab.models.decoding.step_decoder import rows_per_scene
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.dictionary.gaussian_decoder import Gaussians
 from cvqmpt_lab.models.point_cloud.encoder import PointCloudEncoder, SceneTokens, TokenLevel
@@ -21,24 +21,21 @@ from cvqmpt_lab.models.published.attention import sinusoid_table
 
 @dataclass(frozen=True, eq=False)
 class CompactScene:
-    """Encoded scenes: their tokens, and keys and values (n_layers, s, 2, heads, m, d_k) in each layer."""
+    """Encoded scenes."""
 
     tokens: SceneTokens
     keys_values: Tensor
+    """(n_layers, s, 2, heads, m, d_k): keys and values in each layer."""
 
 
 @dataclass(frozen=True, eq=False)
 class SequenceOutput:
-    """Predictions along known sequences.
-
-    Attributes
-    ----------
-    logits: (b, t + 1, n_classes), after the start token and after each of t codes.
-    states: (b, t, d_model), at each code, for the refinement head.
-    """
+    """Predictions along known sequences."""
 
     logits: Tensor
+    """(b, t + 1, n_classes), after the start token and after each of t codes."""
     states: Tensor
+    """(b, t, d_model), at each code, for the refinement head."""
 
 
 class CompactSequenceModel(nn.Module):
@@ -185,21 +182,6 @@ class CompactSequenceModel(nn.Module):
         if self.config.sequence.start_goal_codes:
             codes = dictionary.encode(torch.stack((start, goal), 1).flatten(0, 1)[:, None]).view(-1, 2)
         return self.prefix_tokens(start, goal, codes)
-
-    def decoder(
-        self, dictionary: Dictionary, scene: CompactScene, start: Tensor, goal: Tensor
-    ) -> PrefixDecoder:
-        """Decoder for starts and goals (q, configuration_dim), queries grouped by scene.
-
-        `compact_inference.CompactInference` makes a faster one.
-        """
-        prefix = self.query_tokens(dictionary, start, goal)
-
-        def logits_of(queries: Tensor, sequences: Tensor) -> Tensor:
-            tokens = torch.cat((prefix[queries], self.code_tokens(sequences)), 1)
-            return self.classify(self.run(tokens, scene)[:, -1])
-
-        return PrefixDecoder(torch.arange(len(start), device=start.device), logits_of)
 
     def refine(self, states: Tensor, gaussians: Gaussians) -> Gaussians:
         """Gaussians (b, t) of steps from `SequenceOutput.states` and the Gaussians (b, t) of their codes."""

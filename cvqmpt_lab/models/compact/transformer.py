@@ -12,7 +12,7 @@ class CompactLayer(nn.Module):
 
     Both branches read the same normalised token and are summed, so that a layer is two matrix products
     and one attention: fewer steps for a processor that spends its time between them. Scene tokens are the
-    same in every layer and look at nothing. `compact_inference` computes the same for one more token at
+    same in every layer and look at nothing. `compact.inference` computes the same for one more token at
     a time.
     """
 

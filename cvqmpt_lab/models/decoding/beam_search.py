@@ -13,30 +13,29 @@ Scoring = Literal["log-probability", "published"]
 
 @dataclass(frozen=True)
 class CodeSequence:
-    """A predicted sequence.
-
-    Attributes
-    ----------
-    codes: without start and goal token.
-    finished: the goal token was predicted; False when the length limit came first, and then the codes
-        lead nowhere in particular: the caller decides what to do, and says so.
-    log_probability: of the codes, and of the goal token when finished [nats].
-    score: what the search ranked by; the log probability unless the scoring is ``published``.
-    """
+    """A predicted sequence."""
 
     codes: tuple[int, ...]
+    """Without start and goal token."""
     finished: bool
+    """The goal token was predicted; False when the length limit came first, and then the codes lead nowhere in
+    particular: the caller decides what to do, and says so."""
     log_probability: float
+    """Of the codes, and of the goal token when finished [nats]."""
     score: float
+    """What the search ranked by; the log probability unless the scoring is ``published``."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Beams:
-    """The hypotheses of q queries, k each: codes (q, k, t), scores and log probabilities (q, k)."""
+    """The hypotheses of q queries, k each."""
 
     codes: np.ndarray
+    """(q, k, t) int64."""
     score: np.ndarray
+    """(q, k)."""
     log_probability: np.ndarray
+    """(q, k) [nats]."""
 
     def sequence(self, query: int, rank: int, goal: int) -> CodeSequence:
         """One hypothesis up to its goal token; a finished one may have been padded with further ones."""

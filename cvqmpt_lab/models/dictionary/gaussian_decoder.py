@@ -12,28 +12,19 @@ from cvqmpt_lab.models.published.attention import FeedForward
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """A batch of Gaussians with covariance L D L^T (published code; the paper prints L D^2 L^T).
-
-    Attributes
-    ----------
-    mean: (..., n), normalised joints.
-    lower: (..., n, n), L, ones on the diagonal.
-    diagonal: (..., n), D, positive.
-    """
+    """A batch of Gaussians with covariance L D L^T (published code; the paper prints L D^2 L^T)."""
 
     mean: Tensor
+    """(..., n), normalised joints."""
     lower: Tensor
+    """(..., n, n), L, ones on the diagonal."""
     diagonal: Tensor
+    """(..., n), D, positive."""
 
     @property
     def covariance(self) -> Tensor:
         """L D L^T (..., n, n)."""
         return (self.lower * self.diagonal[..., None, :]) @ self.lower.mT
-
-    @property
-    def scale_tril(self) -> Tensor:
-        """L D^(1/2) (..., n, n): times a standard normal vector, a draw around the mean."""
-        return self.lower * self.diagonal.sqrt()[..., None, :]
 
     def __getitem__(self, index: Tensor | slice | int | tuple[Tensor, ...]) -> "Gaussians":
         """Those at `index` of the leading dimensions."""

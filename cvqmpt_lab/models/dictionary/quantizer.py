@@ -11,11 +11,14 @@ from cvqmpt_lab.errors import InvalidInputError
 
 @dataclass(frozen=True, eq=False)
 class Quantized:
-    """Latents (..., d_model) before and after quantization, and the codes (...) int64 between."""
+    """Latents before and after quantization."""
 
     latent: Tensor
+    """(..., d_model)."""
     quantized: Tensor
+    """(..., d_model), of the nearest code."""
     codes: Tensor
+    """(...) int64: which that is."""
 
 
 class Quantizer(nn.Module):

@@ -17,11 +17,12 @@ from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """x -> x @ weight + bias, and what negative values are multiplied by; None for no activation."""
+    """x -> x @ weight + bias, then an activation."""
 
     weight: np.ndarray
     bias: np.ndarray
     slope: np.ndarray | None
+    """What negative values are multiplied by; None for no activation."""
 
     @classmethod
     def of(cls, linear: nn.Linear, prelu: nn.PReLU | None) -> "_Layer":

@@ -12,18 +12,22 @@ from cvqmpt_lab.models.point_cloud.sampling import ball_query, farthest_point_sa
 
 @dataclass(frozen=True, eq=False)
 class TokenLevel:
-    """Tokens of one level: features (b, m, d) and the points they stand for, centres (b, m, 3) [m]."""
+    """Tokens of one level."""
 
     features: Tensor
+    """(b, m, d)."""
     centres: Tensor
+    """(b, m, 3): the points they stand for [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneTokens:
-    """What the encoder makes of clouds: many fine tokens and few coarse ones that summarise them."""
+    """What the encoder makes of clouds."""
 
     fine: TokenLevel
+    """Many."""
     coarse: TokenLevel
+    """Few, that summarise them."""
 
 
 class PointConvolution(nn.Module):

@@ -17,16 +17,12 @@ _PAIRS_AT_ONCE = 1 << 17
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pairs of a centre and one of its neighbours.
-
-    Attributes
-    ----------
-    point, centre: (e,) int64, indices into the clouds' points and centres laid end to end; `centre`
-        ascends, and so does `point` for one centre.
-    """
+    """Pairs of a centre and one of its neighbours."""
 
     point: Tensor
+    """(e,) int64, index into the clouds' points laid end to end; ascends for one centre."""
     centre: Tensor
+    """(e,) int64, index into the centres, likewise; ascends."""
 
 
 def require_point_cloud(points: Tensor) -> None:

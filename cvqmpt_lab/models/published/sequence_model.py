@@ -23,19 +23,24 @@ MOST_PREFIXES = 40
 
 @dataclass(frozen=True, eq=False)
 class PublishedScene:
-    """Scene tokens (s, m, d_model) and which of them are real (s, m)."""
+    """Encoded scenes, padded to the one with most tokens."""
 
     tokens: Tensor
+    """(s, m, d_model)."""
     visible: Tensor
+    """(s, m) bool: no padding."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrefixSamples:
-    """Training samples of one sequence: prefixes (p, n), how many codes count (p,), what follows (p,)."""
+    """Training samples of one sequence, prefixes of it."""
 
     codes: Tensor
+    """(p, n) int64."""
     lengths: Tensor
+    """(p,) int64: how many of them count."""
     targets: Tensor
+    """(p,) int64: the class that follows."""
 
 
 def prefix_samples(codes: Tensor, goal_class: int) -> PrefixSamples:
