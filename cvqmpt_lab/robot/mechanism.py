@@ -5,95 +5,72 @@ links checked against the arm and against the scene, and its handle is a frame t
 hang on. No kernel knows of doors.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.codec import Checked, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.forms import Array, FloatArray, Length, Name
+from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.arrays import axis_frames, kinematics_arrays
-from cvqmpt_lab.robot.hulls import convex_hull, link_geometry
+from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
 from cvqmpt_lab.robot.robot import Robot
 
 JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """A convex piece of an articulated object.
+class Part(Checked):
+    """A convex piece of an articulated object."""
 
-    Attributes
-    ----------
-    T: (4, 4), pose in the joint frame at value 0 for a piece that moves, in the world for one that does not.
-    vertices: (n, 3), in its own frame [m].
-    """
-
-    name: str
-    T: np.ndarray
-    vertices: np.ndarray
+    name: Name
+    """Also that of a frame of the robot, if the piece moves."""
+    T: Pose
+    """(4, 4), in the joint frame at value 0 for a piece that moves, in the world for one that does not."""
+    vertices: Annotated[FloatArray, Array((None, 3), "corners [m]")]
+    """(n, 3), in its own frame [m]."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise InvalidInputError(f"articulated part field 'name' must be a string, not {self.name!r}")
-        object.__setattr__(self, "T", _pose(self.T, f"'T' of part {self.name!r}"))
-        points = _numbers(self.vertices, f"'vertices' of part {self.name!r}")
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
-            raise InvalidInputError(f"'vertices' of part {self.name!r} must be (4 or more, 3) numbers [m]")
-        if np.linalg.matrix_rank(points - points.mean(axis=0)) < 3:  # coal would crash
-            raise InvalidInputError(
-                f"'vertices' of part {self.name!r} lie in one plane: they must span a volume"
-            )
-        object.__setattr__(self, "vertices", points)
-
-    def to_dict(self) -> dict:
-        """Plain json form."""
-        return {"name": self.name, "T": self.T.tolist(), "vertices": self.vertices.tolist()}
+        super().__post_init__()
+        require_volume(self.vertices, f"part {self.name!r}")
 
 
 @dataclass(frozen=True, eq=False)
-class ArticulatedObject:
-    """A door or drawer: one joint, the pieces it moves, and the fixed pieces these rest against.
+class ArticulatedObject(Checked):
+    """A door or drawer: one joint, the pieces it moves, and the fixed pieces these rest against."""
 
-    Attributes
-    ----------
-    name: of the joint. kind: "hinge", which turns about the z axis of the joint frame, or "slider", along it.
-    T_world_joint: (4, 4) at value 0. lower, upper: range of the joint [rad or m].
-    parts: what moves; each part's name is also that of a frame of the robot, which constraints may hang on.
-    casing: fixed pieces that the parts touch, or nearly, without ever entering them. They are checked
-        against the robot and what it carries, never against the parts.
-    may_touch: (robot piece, part) pairs that are not checked: what holds the handle.
-    velocity, acceleration: how fast it may be moved [rad/s or m/s, and per s]; only timing a path needs them.
-    """
-
-    name: str
-    kind: str
-    T_world_joint: np.ndarray
+    name: Name
+    """Of the joint."""
+    kind: Literal["hinge", "slider"]
+    """A hinge turns about the z axis of the joint frame, a slider moves along it."""
+    T_world_joint: Pose
+    """(4, 4) at value 0."""
     lower: float
+    """[rad or m]."""
     upper: float
+    """[rad or m]."""
     parts: tuple[Part, ...]
+    """What moves."""
     casing: tuple[Part, ...] = ()
+    """Fixed pieces that the parts touch, or nearly, without ever entering them. They are checked
+    against the robot and what it carries, never against the parts."""
     may_touch: tuple[tuple[str, str], ...] = ()
-    velocity: float = 1.0
-    acceleration: float = 2.0
+    """(robot piece, part) pairs that are not checked: what holds the handle."""
+    velocity: Length = 1.0
+    """How fast it may be moved [rad/s or m/s]; only timing a path needs it."""
+    acceleration: Length = 2.0
+    """[rad/s^2 or m/s^2], likewise."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         what = f"articulated object {self.name!r}"
-        if not isinstance(self.name, str) or not self.name:
-            raise InvalidInputError(f"articulated object field 'name' must be a string, not {self.name!r}")
-        if self.kind not in JOINT_MODELS:
-            raise UnknownChoiceError(f"kind of {what}", self.kind, JOINT_MODELS)
-        object.__setattr__(self, "T_world_joint", _pose(self.T_world_joint, f"'T_world_joint' of {what}"))
-        limits = _numbers([self.lower, self.upper], f"range of {what}")
-        if not limits[0] < limits[1]:
+        if not self.lower < self.upper:
             raise InvalidInputError(
                 f"{what} has range [{self.lower}, {self.upper}]: lower < upper needed, else leave it in the scene"
-            )
-        fast = _numbers([self.velocity, self.acceleration], f"velocity and acceleration of {what}")
-        if not (fast > 0.0).all():
-            raise InvalidInputError(
-                f"{what} has velocity {self.velocity}, acceleration {self.acceleration}: above 0 needed"
             )
         if not self.parts:
             raise InvalidInputError(f"{what} moves nothing: give 'parts'")
@@ -101,43 +78,6 @@ class ArticulatedObject:
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InvalidInputError(f"{what} has two pieces called {twice!r}: names must be unique")
-
-    def to_dict(self) -> dict:
-        """Plain json form: field 'articulated' of a robot's source."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "T_world_joint": self.T_world_joint.tolist(),
-            "lower": float(self.lower),
-            "upper": float(self.upper),
-            "parts": [part.to_dict() for part in self.parts],
-            "casing": [part.to_dict() for part in self.casing],
-            "may_touch": [list(pair) for pair in self.may_touch],
-            "velocity": float(self.velocity),
-            "acceleration": float(self.acceleration),
-        }
-
-    @staticmethod
-    def from_dict(data: Any) -> "ArticulatedObject":
-        """Inverse of to_dict; names the missing or malformed field."""
-        if not isinstance(data, Mapping):
-            raise InvalidInputError(f"robot field 'articulated' must be a json object, not {data!r}")
-        try:
-            return ArticulatedObject(
-                name=data["name"],
-                kind=data["kind"],
-                T_world_joint=data["T_world_joint"],
-                lower=data["lower"],
-                upper=data["upper"],
-                parts=tuple(Part(p["name"], p["T"], p["vertices"]) for p in data["parts"]),
-                casing=tuple(Part(p["name"], p["T"], p["vertices"]) for p in data.get("casing", [])),
-                may_touch=tuple((a, b) for a, b in data.get("may_touch", [])),
-                **{key: data[key] for key in ("velocity", "acceleration") if key in data},
-            )
-        except KeyError as error:
-            raise InvalidInputError(f"articulated object field {error} is missing") from error
-        except (TypeError, ValueError, AttributeError) as error:
-            raise InvalidInputError(f"articulated object is malformed: {error}") from error
 
 
 def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
@@ -166,7 +106,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     return replace(
         robot,
         name=f"{robot.name}+{item.name}",
-        source={**robot.source, "articulated": item.to_dict()},
+        source={**robot.source, "articulated": to_plain(item)},
         model=model,
         collision_model=geometry,
         kinematics=kinematics_arrays(model, frames),
@@ -221,24 +161,3 @@ def _add_pieces(geometry: pin.GeometryModel, parts: Sequence[Part], joint: int) 
         )
         for part in parts
     ]
-
-
-def _numbers(value: Any, what: str) -> np.ndarray:
-    """A read-only array of finite numbers."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"{what} must hold numbers: {error}") from error
-    if not np.isfinite(array).all():
-        raise InvalidInputError(f"{what} must hold finite numbers")
-    array.setflags(write=False)
-    return array
-
-
-def _pose(value: Any, what: str) -> np.ndarray:
-    """A read-only rigid transformation (4, 4)."""
-    T = _numbers(value, what)
-    rigid = T.shape == (4, 4) and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0))
-    if not (rigid and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6) and np.linalg.det(T) > 0.0):
-        raise InvalidInputError(f"{what} must be a rigid pose (4, 4): rotation matrix and position")
-    return T

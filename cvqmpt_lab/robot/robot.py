@@ -16,6 +16,8 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
 from cvqmpt_lab.robot.arrays import axis_frames, in_link
 from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.srdf import LeftOut
+from cvqmpt_lab.robot.urdf import HeldJoint
 
 DIGEST_DECIMALS = 9
 """[rad or m]; coarser than what compilers and processors make of the same URDF, finer than any maker's tolerance."""
@@ -60,8 +62,10 @@ class Robot:
     """Convex pieces."""
     self_collision_pairs: tuple[tuple[int, int], ...]
     """Indices into `links` of the pairs that are checked."""
-    resting_overlaps: tuple[tuple[str, str], ...] = ()
-    """Pairs left out because they overlap at the rest configuration."""
+    left_out_pairs: tuple[LeftOut, ...] = ()
+    """Pairs of links that are not checked against each other, and why."""
+    held_joints: tuple[HeldJoint, ...] = ()
+    """Joints of the URDF that planning does not move."""
     acceleration_limits: np.ndarray | None = None
     """(n,) [rad/s^2 or m/s^2], or None where nobody gave them."""
     _data: pin.Data = field(init=False, repr=False)
@@ -132,9 +136,10 @@ class Robot:
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
         """T_world_frame (4, 4) by pinocchio; the end effector unless another frame is named."""
-        frame_id = self.model.getFrameId(frame or self.end_effector)
-        if frame_id >= self.model.nframes:
-            raise InvalidInputError(f"robot {self.name} has no frame {frame!r}; see `Robot.frame_names`")
+        name = frame or self.end_effector
+        if not self.model.existFrame(name, pin.FrameType.BODY):
+            raise InvalidInputError(f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`")
+        frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
         pin.forwardKinematics(self.model, self._data, np.asarray(q, dtype=float))
         return pin.updateFramePlacement(self.model, self._data, frame_id).homogeneous
 

@@ -221,7 +221,7 @@ def _boxes(objects: list) -> np.ndarray:
 def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
     """The robot's geometry and what it carries, with the pairs to check."""
     geometry = robot.collision_model.copy()
-    hand = robot.model.frames[robot.model.getFrameId(robot.end_effector)]
+    hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
     carried = [
         [
             geometry.addGeometryObject(_carried(piece, hand))
@@ -249,7 +249,7 @@ def _near_in_tree(robot: Robot, a: int, b: int) -> bool:
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
     """(link piece, attachment) index pairs that can touch; neighbours of the hand are left out."""
-    frame = robot.model.frames[robot.model.getFrameId(robot.end_effector)]
+    frame = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
     joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
     return [
         (i, k)

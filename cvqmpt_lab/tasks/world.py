@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
@@ -153,4 +154,4 @@ def _taken_out(scene: Scene, held: HeldDoor) -> TakenOut:
 def _mechanism(source: str, scene: Scene, held: HeldDoor) -> tuple[Scene, Robot]:
     """A scene without the held door, and the robot with it; source: the robot's, as json."""
     rest, door = _taken_out(scene, held)
-    return rest, robot_from_source({**json.loads(source), "articulated": door.to_dict()})
+    return rest, robot_from_source({**json.loads(source), "articulated": to_plain(door)})

@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
@@ -52,7 +53,7 @@ def handle_region(turn: float = FREE, slide: float = 0.0) -> TaskSpaceRegionChai
 def door_world(finger_opening: float = GRIP) -> tuple[Scene, Robot]:
     """The kitchen without the door, and the Panda with it; only finger pads may touch the bar."""
     scene, door = take_out(kitchen(), DOOR, may_touch=[(pad, BAR) for pad in PADS])
-    return scene, robot_from_source({**panda(finger_opening).source, "articulated": door.to_dict()})
+    return scene, robot_from_source({**panda(finger_opening).source, "articulated": to_plain(door)})
 
 
 def bar_pose(angle: float) -> np.ndarray:

@@ -48,7 +48,7 @@ def door_robot():
 @pytest.fixture(scope="module")
 def drawer_robot(panda):
     return robot_from_source(
-        {**panda.source, "articulated": take_out(kitchen(), DRAWER).articulated.to_dict()}
+        {**panda.source, "articulated": to_plain(take_out(kitchen(), DRAWER).articulated)}
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.collision.checker import first_contact
@@ -38,7 +39,7 @@ CONTACT = 1e-5  # [m] contact is not defined below
 
 def mechanism(panda, scene, name, **options):
     rest, item = take_out(scene, name, **options)
-    return rest, robot_from_source({**panda.source, "articulated": item.to_dict()})
+    return rest, robot_from_source({**panda.source, "articulated": to_plain(item)})
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +133,7 @@ def test_doors_that_turn_into_something_say_into_what(panda, name):
 
 
 def test_casing_is_what_a_door_rests_against(world):
-    casing = [part.name for part in ArticulatedObject.from_dict(world[1].source["articulated"]).casing]
+    casing = [part.name for part in from_plain(ArticulatedObject, world[1].source["articulated"]).casing]
     boards = [f"dagger/cell1_{side}" for side in ("bottom", "top", "side_right", "side_left")]
     assert sorted(casing) == sorted([*boards, "dagger/cell0_side_left"])
 
@@ -185,7 +186,7 @@ def test_casing_stops_the_arm(panda, world):
     board[:3, :3] = handle_region().Tw_e[:3, :3]
     reached = solve_poses(robot, board[None], np.random.default_rng(0), attempts=60)[0]
     reached[:, 7] = -1.5
-    item = replace(ArticulatedObject.from_dict(robot.source["articulated"]), casing=())
+    item = replace(from_plain(ArticulatedObject, robot.source["articulated"]), casing=())
     bare = with_articulated_object(panda, item)
     nothing = Scene("nothing", ())
     without, checker = (CollisionChecker(r, nothing) for r in (bare, robot))
@@ -268,7 +269,7 @@ def test_pickle_and_source(world):
     for ours, theirs in zip(robot.kinematics, again.kinematics, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert again.self_collision_pairs == robot.self_collision_pairs and again.name == f"panda+{DOOR}"
-    assert ArticulatedObject.from_dict(robot.source["articulated"]).to_dict() == robot.source["articulated"]
+    assert to_plain(from_plain(ArticulatedObject, robot.source["articulated"])) == robot.source["articulated"]
 
 
 def test_a_problem_comes_back_from_its_file(tmp_path):
@@ -311,8 +312,8 @@ def test_an_unknown_door_is_refused_with_the_choices():
 
 def test_bad_objects_are_refused(panda, world):
     _, robot = world
-    item = ArticulatedObject.from_dict(robot.source["articulated"])
-    data = item.to_dict()
+    item = from_plain(ArticulatedObject, robot.source["articulated"])
+    data = to_plain(item)
     with pytest.raises(InvalidInputError, match="has an articulated object already"):
         with_articulated_object(robot, item)
     with pytest.raises(UnknownChoiceError, match=r"'palm'.*panda_hand_0"):
@@ -324,21 +325,21 @@ def test_bad_objects_are_refused(panda, world):
     for changes, message in [
         ({"kind": "ball"}, "'ball'.*hinge, slider"),
         ({"lower": 0.0}, r"range \[0.0, 0.0\]"),
-        ({"upper": None}, "range of articulated object"),
+        ({"upper": None}, "articulated.upper is None"),
         ({"parts": []}, "moves nothing"),
-        ({"velocity": 0.0}, "velocity 0.0"),
-        ({"T_world_joint": [[1.0]]}, "rigid pose"),
-        ({"may_touch": ["x"]}, "malformed"),
+        ({"velocity": 0.0}, "velocity is 0.0"),
+        ({"T_world_joint": [[1.0]]}, "T_world_joint has shape"),
+        ({"may_touch": ["x"]}, "may_touch.*must be a list"),
         ({"casing": data["parts"]}, "two pieces called"),
-        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "4 or more"),
+        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "at least 4"),
     ]:
         with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
             robot_from_source({**panda.source, "articulated": data | changes})
-    with pytest.raises(InvalidInputError, match="'kind' is missing"):
+    with pytest.raises(InvalidInputError, match=r"articulated\.kind is missing"):
         robot_from_source({**panda.source, "articulated": {"name": "door"}})
-    with pytest.raises(InvalidInputError, match="json object"):
+    with pytest.raises(InvalidInputError, match="must be an object"):
         robot_from_source({**panda.source, "articulated": [1]})
     flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
-    with pytest.raises(InvalidInputError, match="'p' lie in one plane"):
+    with pytest.raises(InvalidInputError, match="'p' has no volume"):
         part = {"name": "p", "T": np.eye(4).tolist(), "vertices": flat}
         robot_from_source({**panda.source, "articulated": data | {"parts": [part], "may_touch": []}})

@@ -18,6 +18,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
+from cvqmpt_lab.robot.srdf import LeftOut
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 
@@ -123,13 +124,14 @@ def test_scenes_without_obstacles_are_planned(problem):
 def bulky_urdf(slider_arm_urdf, tmp_path):
     """The slider arm with a tool so large that it always overlaps the upper arm."""
     path = tmp_path / "bulky.urdf"
-    path.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="0.9 0.9 0.9"'))
+    path.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="3 3 3"'))
     return path
 
 
-def test_a_robot_that_overlaps_itself_at_rest_is_planned(bulky_urdf):
+def test_a_robot_whose_hulls_always_overlap_is_planned(bulky_urdf):
     robot = load_robot(bulky_urdf, "tool")
-    assert robot.resting_overlaps
+    assert LeftOut("elbow", "tool", "Adjacent") in robot.left_out_pairs
+    assert LeftOut("shoulder", "tool", "Always") in robot.left_out_pairs
     problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
     assert ConstrainedSpace(problem).valid(problem.start)
     assert solve(problem, "birrt", ENOUGH, seed=0).solved
@@ -139,7 +141,7 @@ def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, t
     """Whoever lists the pairs to skip is believed; what then overlaps is said, not hidden."""
     (tmp_path / "bulky.srdf").write_text('<?xml version="1.0"?>\n<robot name="slider_arm"/>\n')
     robot = load_robot(bulky_urdf, "tool", srdf=tmp_path / "bulky.srdf")
-    assert robot.resting_overlaps == ()
+    assert robot.left_out_pairs == ()
     problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
     with pytest.raises(InvalidProblemError, match=r"start is in collision: .*_0 and tool_0"):
         check_problem(problem)

@@ -1,0 +1,187 @@
+"""Which pairs of links are checked against each other: as an SRDF says, or found by sampling and kept as one.
+
+Without an SRDF, a pair is left out when its links are neighbours, when they overlap in nearly every random
+configuration, or when in none they come closer than `NEAR`. The result depends on the robot alone. It is written as
+an SRDF to the user's cache folder, from which `cvqmpt robot --srdf-out` copies it.
+"""
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import make_folder, write_text
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, link_poses
+from cvqmpt_lab.robot.robot import LinkGeometry
+from cvqmpt_lab.robot.srdf import LeftOut, read_srdf, srdf_text
+
+SAMPLES = 2000
+"""Random configurations that decide."""
+NEAR = 0.02
+"""[m] A pair that comes so near in one of them is checked."""
+ALWAYS = 0.95
+"""Share of them in which the hulls of two links overlap that overlap by how they were drawn, not posed."""
+SPREAD = 0.15
+"""By which the share among `CHUNK` of them may be smaller: five standard deviations."""
+CHUNK = 50
+"""Configurations after which pairs that are decided are dropped."""
+VERSION = b"3"
+"""Of the rule: another number forgets what is in the cache."""
+
+Pair = tuple[str, str]
+"""Names of two links."""
+
+
+def left_out_pairs(
+    model: pin.Model,
+    geometry: pin.GeometryModel,
+    links: Sequence[LinkGeometry],
+    kinematics: Kinematics,
+    srdf: Path | None,
+) -> tuple[LeftOut, ...]:
+    """The pairs that an SRDF leaves out; without one, those of the cache, or found by sampling and put there.
+
+    Raises
+    ------
+    InvalidInputError
+        For an SRDF that cannot be read.
+    """
+    if srdf is not None:
+        return read_srdf(srdf)
+    cached = cache_file(model, links)
+    try:
+        return read_srdf(cached)
+    except InvalidInputError:  # not there yet, or not whole
+        found = sampled_pairs(model, geometry, links, kinematics)
+    try:
+        make_folder(cached.parent)
+        write_text(cached, srdf_text(model.name, found))
+    except InvalidInputError:  # sampled again the next time
+        pass
+    return found
+
+
+def cache_file(model: pin.Model, links: Sequence[LinkGeometry]) -> Path:
+    """Where the sampled pairs of a robot are kept; another placement, limit or corner is another file."""
+    digest = hashlib.sha256(VERSION)
+    for placement in model.jointPlacements:
+        digest.update(placement.homogeneous.tobytes())
+    for piece in links:
+        digest.update(f"{piece.name} {piece.link} ".encode())
+        digest.update(piece.T_link_geometry.tobytes() + np.sort(piece.vertices, axis=0).tobytes())
+    digest.update(f"{list(model.parents)} {[j.shortname() for j in model.joints]}".encode())
+    digest.update(np.concatenate([model.lowerPositionLimit, model.upperPositionLimit]).tobytes())
+    folder = (
+        Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "cvqmpt_lab" / "self_collision"
+    )
+    return folder / f"{model.name.replace('/', '_')}-{digest.hexdigest()[:16]}.srdf"
+
+
+def link_of_piece(model: pin.Model, item: pin.GeometryObject) -> str:
+    """The URDF link that a collision piece belongs to."""
+    return model.frames[item.parentFrame].name
+
+
+def checked_pairs(
+    model: pin.Model, geometry: pin.GeometryModel, left_out: Sequence[LeftOut]
+) -> tuple[tuple[int, int], ...]:
+    """Keep in the geometry model the pairs that are checked; their indices."""
+    skipped = {frozenset((pair.first, pair.second)) for pair in left_out}
+    names = [link_of_piece(model, item) for item in geometry.geometryObjects]
+    geometry.addAllCollisionPairs()
+    every = [(int(pair.first), int(pair.second)) for pair in geometry.collisionPairs]
+    kept = tuple((i, k) for i, k in every if frozenset((names[i], names[k])) not in skipped)
+    geometry.removeAllCollisionPairs()
+    for i, k in kept:
+        geometry.addCollisionPair(pin.CollisionPair(i, k))
+    return kept
+
+
+def sampled_pairs(
+    model: pin.Model, geometry: pin.GeometryModel, links: Sequence[LinkGeometry], kinematics: Kinematics
+) -> tuple[LeftOut, ...]:
+    """Pairs of links to leave out, by the rule above; the same for the same robot."""
+    pieces: dict[str, list[int]] = {}
+    for k, item in enumerate(geometry.geometryObjects):
+        pieces.setdefault(link_of_piece(model, item), []).append(k)
+    every = list(combinations(pieces, 2))
+    reasons = {pair: "Adjacent" for pair in every if _adjacent(model, geometry, pieces, pair)}
+    pairs = [pair for pair in every if pair not in reasons]
+    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+    states = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, model.nq))
+    sampling = _Sampling(model, geometry, pieces, states, _balls(links, kinematics, states))
+    often, apart = set(pairs), set(pairs)  # what may still be nearly always near, or never
+    for rows in np.array_split(np.arange(SAMPLES), SAMPLES // CHUNK):
+        undecided = often | apart
+        seen = sampling.close([pair for pair in pairs if pair in undecided], rows, NEAR)
+        often -= {pair for pair, hits in seen.items() if hits.mean() < ALWAYS - SPREAD}
+        apart -= {pair for pair, hits in seen.items() if hits.any()}
+    touching = sampling.close([pair for pair in pairs if pair in often], np.arange(SAMPLES), 0.0)
+    reasons |= dict.fromkeys(apart, "Never")
+    reasons |= {pair: "Always" for pair, hits in touching.items() if hits.mean() >= ALWAYS}
+    return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
+
+
+def _adjacent(
+    model: pin.Model, geometry: pin.GeometryModel, pieces: Mapping[str, list[int]], pair: Pair
+) -> bool:
+    """Whether two links are on one joint, or on a joint and its parent."""
+    a, b = (geometry.geometryObjects[pieces[name][0]].parentJoint for name in pair)
+    return a == b or model.parents[a] == b or model.parents[b] == a
+
+
+def _balls(
+    links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (k, p, 3) and radii (p,) [m] of balls around the pieces, in each state (k, n)."""
+    rotations, translations = link_poses(kinematics, states)
+    centres, radii = np.empty((len(states), len(links), 3)), np.empty(len(links))
+    for i, piece in enumerate(links):
+        points = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        centres[:, i] = rotations[:, piece.link] @ middle + translations[:, piece.link]
+        radii[i] = np.linalg.norm(points - middle, axis=1).max()
+    return centres, radii
+
+
+@dataclass(frozen=True)
+class _Sampling:
+    """Which links come close in which random states."""
+
+    model: pin.Model
+    geometry: pin.GeometryModel
+    pieces: Mapping[str, list[int]]
+    """Indices of the pieces of each link."""
+    states: np.ndarray
+    """(k, n) [rad or m]."""
+    balls: tuple[np.ndarray, np.ndarray]
+    """Of `_balls`: what is far apart need not be looked at closely."""
+
+    def close(self, pairs: Sequence[Pair], rows: np.ndarray, margin: float) -> dict[Pair, np.ndarray]:
+        """Whether each pair of links is closer than a margin [m], in each of the states `rows`."""
+        tested = pin.GeometryModel(self.geometry)
+        tested.removeAllCollisionPairs()
+        indices = [
+            (k, i, j) for k, (a, b) in enumerate(pairs) for i in self.pieces[a] for j in self.pieces[b]
+        ]
+        for _, i, j in indices:
+            tested.addCollisionPair(pin.CollisionPair(i, j))
+        owner, first, second = np.array(indices, dtype=int).reshape(-1, 3).T
+        data, tested_data = self.model.createData(), pin.GeometryData(tested)
+        for request in tested_data.collisionRequests:
+            request.security_margin = margin
+        centres, radii = self.balls
+        hits = np.zeros((len(rows), len(pairs)), dtype=bool)
+        for hit, row in zip(hits, rows, strict=True):
+            apart = np.linalg.norm(centres[row, first] - centres[row, second], axis=1)
+            pin.updateGeometryPlacements(self.model, data, tested, tested_data, self.states[row])
+            for k in np.flatnonzero(apart <= radii[first] + radii[second] + margin).tolist():
+                if not hit[owner[k]]:
+                    hit[owner[k]] = pin.computeCollision(tested, tested_data, k)
+        return dict(zip(pairs, hits.T, strict=True))

@@ -1,0 +1,260 @@
+"""What a URDF file says of links and joints, read before pinocchio sees it, so that errors name all offenders."""
+
+import copy
+import math
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Real
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import read_text
+
+TURN = 2.0 * math.pi
+"""[rad] A continuous joint turns by up to this much either way: a whole turn more would be the same posture."""
+OFF_CHAIN = "not between the base and the end effector"
+ASKED = "as asked for"
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a URDF."""
+
+    name: str
+    kind: str
+    """"revolute", "prismatic", "continuous", "fixed", "floating" or "planar"."""
+    parent: str
+    """Link that it stands on."""
+    child: str
+    """Link that it moves."""
+    lower: float
+    """[rad or m]; NaN where the file states none."""
+    upper: float
+    """[rad or m]; NaN where the file states none."""
+    mimics: str | None
+    """Joint whose value it takes."""
+    multiplier: float
+    """Times the value of that joint."""
+    offset: float
+    """[rad or m] Plus this."""
+
+    @property
+    def hindrance(self) -> str | None:
+        """Why planning cannot move it, or None."""
+        if self.mimics is not None:
+            return f"mimics {self.mimics}"
+        if self.kind not in ("revolute", "prismatic", "continuous"):
+            return f"is {self.kind}"
+        finite = math.isfinite(self.lower) and math.isfinite(self.upper)
+        if self.kind != "continuous" and not (finite and self.lower < self.upper):
+            return f"has limits [{self.lower:g}, {self.upper:g}]"
+        return None
+
+    @property
+    def neutral(self) -> float:
+        """The value nearest to 0 inside the limits [rad or m]."""
+        return min(max(0.0, self.lower), self.upper) if self.lower <= self.upper else 0.0
+
+
+@dataclass(frozen=True)
+class HeldJoint:
+    """A joint that planning does not move."""
+
+    name: str
+    value: float
+    """[rad or m]"""
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """Links and joints of a file, of which each but one link is the child of exactly one joint."""
+
+    path: Path
+    root: ElementTree.Element
+    links: tuple[str, ...]
+    joints: Mapping[str, Joint]
+
+    @cached_property
+    def base(self) -> str:
+        """The link that no joint moves."""
+        children = {joint.child for joint in self.joints.values()}
+        return next(link for link in self.links if link not in children)
+
+    @property
+    def movable(self) -> list[str]:
+        """Names of all joints that are not fixed."""
+        return [joint.name for joint in self.joints.values() if joint.kind != "fixed"]
+
+    def chain(self, link: str) -> list[Joint]:
+        """Joints from the base to a link."""
+        above = {joint.child: joint for joint in self.joints.values()}
+        chain: list[Joint] = []
+        while link in above:
+            chain.append(above[link])
+            link = above[link].parent
+        return chain[::-1]
+
+    @property
+    def likely_end_effectors(self) -> list[str]:
+        """Links at the ends of the chains with the most joints, the hand rather than its fingers."""
+        moved = {link: [j for j in self.chain(link) if j.hindrance is None] for link in self.links}
+        stands_on = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
+        carried = {
+            link: next(
+                (j.parent for j in self.chain(link) if stands_on[j.parent] > 1 and j.kind != "fixed"), link
+            )
+            for link in self.links
+        }
+        most = max((len(moved[carried[link]]) for link in self.links), default=0)
+        parents = {joint.parent for joint in self.joints.values()}
+        ends = [carried[link] for link in self.links if link not in parents or carried[link] != link]
+        return list(dict.fromkeys(link for link in ends if len(moved[link]) == most))
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Read a URDF file; InvalidInputError names what is no tree of links and joints in it."""
+    try:
+        root = ElementTree.fromstring(read_text(path, "URDF"))
+    except ElementTree.ParseError as error:
+        raise InvalidInputError(f"cannot read URDF {path}: {error}") from error
+    if root.tag != "robot":
+        raise InvalidInputError(
+            f"{path} does not contain a valid URDF: its root is <{root.tag}>, not <robot>"
+        )
+    links = tuple(link.get("name", "") for link in root.findall("link"))
+    joints = [_joint(element, path) for element in root.findall("joint")]
+    _refuse_no_tree(path, links, joints)
+    return Urdf(path, root, links, {joint.name: joint for joint in joints})
+
+
+def _joint(element: ElementTree.Element, path: Path) -> Joint:
+    name = element.get("name", "")
+
+    def number(part: ElementTree.Element | None, attribute: str, default: float) -> float:
+        text = None if part is None else part.get(attribute)
+        try:
+            return default if text is None else float(text)
+        except ValueError as error:
+            raise InvalidInputError(
+                f"joint {name!r} of {path.name}: {attribute} is {text!r}, no number"
+            ) from error
+
+    def link(role: str) -> str:
+        part = element.find(role)
+        return "" if part is None else part.get("link", "")
+
+    limit, mimic = element.find("limit"), element.find("mimic")
+    unstated = math.nan if limit is None else 0.0  # the format's default of a <limit> without lower or upper
+    return Joint(
+        name=name,
+        kind=element.get("type", ""),
+        parent=link("parent"),
+        child=link("child"),
+        lower=number(limit, "lower", unstated),
+        upper=number(limit, "upper", unstated),
+        mimics=None if mimic is None else mimic.get("joint", ""),
+        multiplier=number(mimic, "multiplier", 1.0),
+        offset=number(mimic, "offset", 0.0),
+    )
+
+
+def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -> None:
+    """Names used twice, links that do not exist, two roots or none."""
+    for what, listed in (("link", links), ("joint", [joint.name for joint in joints])):
+        twice = [name for name, count in Counter(listed).items() if count > 1]
+        if twice:
+            raise InvalidInputError(f"{path.name} has more than one {what} called {twice[0]!r}: rename one")
+    for joint in joints:
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                raise InvalidInputError(
+                    f"joint {joint.name!r} of {path.name}: its {role} {link!r} is no link"
+                )
+    children = Counter(joint.child for joint in joints)
+    moved_twice = [link for link, count in children.items() if count > 1]
+    if moved_twice:
+        movers = [joint.name for joint in joints if joint.child == moved_twice[0]]
+        raise InvalidInputError(
+            f"link {moved_twice[0]!r} of {path.name} is the child of {', '.join(movers)}: a link has one parent"
+        )
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        found = ", ".join(repr(link) for link in roots) or "none"
+        raise InvalidInputError(f"{path.name} needs one link that no joint moves; it has {found}")
+
+
+def held_joints(
+    urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool
+) -> tuple[HeldJoint, ...]:
+    """The joints that planning does not move, with their values: those locked, and those off the chain.
+
+    Raises
+    ------
+    UnknownChoiceError
+        For an end effector or a locked joint that is not in the file.
+    InvalidInputError
+        Naming every joint that can be neither moved nor held without being asked, and the options that hold them.
+    """
+    if end_effector not in urdf.links:
+        raise UnknownChoiceError("end-effector frame", end_effector, urdf.links)
+    values = {name: _locked_value(urdf, name, value) for name, value in locked.items()}
+    held = {name: HeldJoint(name, value, ASKED) for name, value in values.items()}
+    chain = {joint.name for joint in urdf.chain(end_effector)}
+    followers = []
+    for joint in (urdf.joints[name] for name in urdf.movable if name not in held):
+        if joint.mimics is not None:
+            followers.append(joint)
+        elif joint.name not in chain:
+            held[joint.name] = HeldJoint(joint.name, joint.neutral, OFF_CHAIN)
+        elif joint.kind == "floating" and base_given:
+            held[joint.name] = HeldJoint(joint.name, 0.0, "the base is given")
+    for joint in followers:
+        leader = held.get(joint.mimics or "")
+        if leader is not None and joint.name not in chain:
+            value = joint.multiplier * leader.value + joint.offset
+            held[joint.name] = HeldJoint(joint.name, value, f"mimics {joint.mimics}")
+    offending = [urdf.joints[n] for n in urdf.movable if n not in held and urdf.joints[n].hindrance]
+    if offending:
+        raise InvalidInputError(
+            f"joints of {urdf.path.name} that cannot be planned for: "
+            + ", ".join(f"{joint.name!r} {joint.hindrance}" for joint in offending)
+            + "; hold them: "
+            + " ".join(f"--lock {joint.name}={joint.neutral:g}" for joint in offending)
+            + (", or place the base: --base X,Y,Z" if any(j.kind == "floating" for j in offending) else "")
+        )
+    if not chain - set(held) - {j.name for j in urdf.joints.values() if j.kind == "fixed"}:
+        raise InvalidInputError(
+            f"no joint of {urdf.path.name} moves {end_effector!r}; end effectors it may have: "
+            + ", ".join(urdf.likely_end_effectors)
+        )
+    return tuple(held[name] for name in urdf.movable if name in held)
+
+
+def _locked_value(urdf: Urdf, name: str, value: float) -> float:
+    if name not in urdf.movable:
+        raise UnknownChoiceError("joint to lock", name, urdf.movable)
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(float(value)):
+        raise InvalidInputError(
+            f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]"
+        )
+    return float(value)
+
+
+def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
+    """The file with continuous joints limited to a turn either way, and floating and planar ones fixed."""
+    root = copy.deepcopy(urdf.root)
+    for element in root.findall("joint"):
+        kind = element.get("type")
+        if kind == "continuous":
+            limit = element.find("limit")
+            if limit is None:
+                limit = ElementTree.SubElement(element, "limit")
+            stated = {"velocity": "0", "effort": "0"} | dict(limit.attrib)
+            limit.attrib.update(stated | {"lower": repr(-TURN), "upper": repr(TURN)})
+        new = {"continuous": "revolute", "floating": "fixed", "planar": "fixed"}
+        element.set("type", new.get(kind or "", kind or ""))
+    return root

@@ -1,0 +1,339 @@
+"""Loading robots: what is moved and what is held, where meshes lie, and what is refused with one line."""
+
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.robot.loading import MOST_REACH, load_robot, robot_from_source
+from cvqmpt_lab.robot.named import ARMS
+from cvqmpt_lab.scene.scene import pose
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+SPHERE = '<sphere radius="0.04"/>'
+TWIST = 'name="twist" type="revolute"'
+TWIST_AXIS = '<axis xyz="0 0 -1"/>'
+MIMIC = (TWIST_AXIS, TWIST_AXIS + '<mimic joint="bend" multiplier="-2" offset="0.1"/>')
+FLAT_MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+END = "</robot>"
+FINGERS = """<link name="left"/><link name="right"/>
+<joint name="grip" type="prismatic"><parent link="tool"/><child link="left"/><axis xyz="0 1 0"/>
+  <limit lower="0.01" upper="0.04" effort="1" velocity="1"/></joint>
+<joint name="follow" type="prismatic"><parent link="tool"/><child link="right"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="1" velocity="1"/><mimic joint="grip" multiplier="-1" offset="0.002"/></joint>
+</robot>"""
+
+
+def binary_stl(*triangles):
+    """A binary STL file of triangles (3, 3)."""
+    rows = (struct.pack("<12fH", 0, 0, 0, *np.ravel(corners), 0) for corners in triangles)
+    return b"\0" * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
+
+
+def test_locked_joint_keeps_its_value(slider_arm, slider_arm_urdf):
+    locked = load_robot(slider_arm_urdf, "tool", locked={"bend": -0.4})
+    assert locked.joint_names == ("rail", "lift", "twist")
+    np.testing.assert_allclose(
+        locked.pose(np.array([0.1, 0.2, 0.3])), slider_arm.pose(np.array([0.1, 0.2, -0.4, 0.3])), atol=1e-12
+    )
+
+
+def test_unknown_names_are_listed(slider_arm_urdf, panda, refused):
+    refused(UnknownChoiceError, "frame 'gripper'.*wrist, tool", load_robot, slider_arm_urdf, "gripper")
+    refused(
+        UnknownChoiceError,
+        "lock 'slide'.*rail, lift",
+        load_robot,
+        slider_arm_urdf,
+        "tool",
+        locked={"slide": 0.0},
+    )
+    refused(UnknownChoiceError, "robot 'ur55'.*panda, ur3, ur5", robot_from_source, {"name": "ur55"})
+    refused(InvalidInputError, "no frame 'gripper'", panda.pose, HOME, "gripper")
+    refused(
+        InvalidInputError,
+        r"robot\.end_effector is missing",
+        robot_from_source,
+        {"urdf": str(slider_arm_urdf)},
+    )
+
+
+def test_missing_mesh_is_named(edited, refused):
+    urdf = edited((SPHERE, '<mesh filename="meshes/nothing.stl"/>'))
+    refused(InvalidInputError, r"arm\.urdf.*nothing\.stl", load_robot, urdf, "tool")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "solid empty\nendsolid empty\n",
+        FLAT_MESH,
+    ],
+)
+def test_empty_or_flat_mesh_is_named(edited, refused, tmp_path, text):
+    name = "flat.obj" if text == FLAT_MESH else "empty.stl"
+    (tmp_path / name).write_text(text)
+    urdf = edited((SPHERE, f'<mesh filename="{name}"/>'))
+    refused(InvalidInputError, name, load_robot, urdf, "tool")
+
+
+def test_unreadable_urdf_is_named(edited, refused, tmp_path):
+    refused(InvalidInputError, r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool")
+    refused(InvalidInputError, f"{tmp_path.name}.*directory", load_robot, tmp_path, "tool")
+    cut = edited(("</robot>", ""))
+    refused(InvalidInputError, r"arm\.urdf.*no element found", load_robot, cut, "tool")
+    other = edited(("<robot ", "<root "), ("</robot>", "</root>"))
+    refused(InvalidInputError, r"arm\.urdf.*not contain a valid URDF", load_robot, other, "tool")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"locked": {"mount": 0.0}},
+        {"locked": {"rail": np.nan}},
+        {"locked": {"rail": "wide"}},
+        {"srdf": "none.srdf"},
+    ],
+    ids=["lock a fixed joint", "lock at NaN", "lock at a word", "missing srdf"],
+)
+def test_unusable_options_are_named(slider_arm_urdf, refused, options):
+    refused(CvqmptError, "mount|rail|none.srdf", load_robot, slider_arm_urdf, "tool", **options)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        {"name": "panda", "finger_opening": "wide"},
+        {"name": "panda", "finger_opening": [0.01]},
+        {"name": ["panda"]},
+        {"urdf": 5, "end_effector": "tool"},
+        {"urdf": "arm.urdf", "end_effector": "tool", "locked": 3},
+    ],
+    ids=str,
+)
+def test_malformed_sources_are_named(source):
+    with pytest.raises(CvqmptError):
+        robot_from_source(source)
+
+
+# ---------------------------------------------------------------- what moves and what is held
+
+
+def test_joints_off_the_chain_are_held_and_followers_follow(edited):
+    """Fingers are no part of the plan: the first is held inside its limits, the second where it mimics that."""
+    robot = load_robot(edited((END, FINGERS)), "tool")
+    assert robot.joint_names == ("rail", "lift", "bend", "twist")
+    held = {joint.name: (joint.value, joint.reason) for joint in robot.held_joints}
+    assert held["grip"] == (0.01, "not between the base and the end effector")
+    assert held["follow"] == (pytest.approx(-0.008), "mimics grip")
+    closed = load_robot(edited((END, FINGERS)), "tool", locked={"grip": 0.03})
+    q = np.zeros(4)
+    assert np.linalg.norm(closed.pose(q, "left")[:3, 3] - closed.pose(q, "tool")[:3, 3]) == pytest.approx(
+        0.03
+    )
+    assert np.linalg.norm(closed.pose(q, "right")[:3, 3] - closed.pose(q, "tool")[:3, 3]) == pytest.approx(
+        0.028
+    )
+
+
+def test_a_continuous_joint_turns_once_either_way(edited):
+    limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
+    continuous = (TWIST, TWIST.replace("revolute", "continuous"))
+    for urdf in (edited(continuous), edited(continuous, (limit, ""))):
+        robot = load_robot(urdf, "tool")
+        assert (robot.lower[3], robot.upper[3]) == (-2.0 * np.pi, 2.0 * np.pi)
+        assert load_robot(urdf, "tool", locked={"twist": 1.0}).joint_names == ("rail", "lift", "bend")
+        q = np.array([0.1, 0.2, -0.3, 4.0])
+        turned = load_robot(urdf, "tool", locked={"twist": 4.0})
+        np.testing.assert_allclose(turned.pose(q[:3]), robot.pose(q), atol=1e-12)
+
+
+def test_all_joints_that_cannot_be_planned_for_are_named_with_the_options_that_hold_them(edited, refused):
+    urdf = edited(
+        ('name="lift" type="revolute"', 'name="lift" type="floating"'),
+        ('name="bend" type="revolute"', 'name="bend" type="planar"'),
+        ('lower="-0.5" upper="0.7"', 'lower="0.7" upper="0.7"'),
+        MIMIC,
+    )
+    pattern = (
+        r"'rail' has limits \[0.7, 0.7\], 'lift' is floating, 'bend' is planar, 'twist' mimics bend; "
+        r"hold them: --lock rail=0.7 --lock lift=0 --lock bend=0 --lock twist=0, or place the base"
+    )
+    refused(InvalidInputError, pattern, load_robot, urdf, "tool")
+    locked = {"rail": 0.7, "lift": 0.0, "bend": 0.0}
+    refused(InvalidInputError, "'twist' mimics bend", load_robot, urdf, "tool", locked=locked)
+    refused(
+        InvalidInputError,
+        "no joint of arm.urdf moves 'tool'",
+        load_robot,
+        urdf,
+        "tool",
+        locked={**locked, "twist": 0.0},
+    )
+
+
+def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
+    float_on = (
+        '<link name="earth"/><joint name="float" type="floating">'
+        '<parent link="earth"/><child link="base"/></joint></robot>'
+    )
+    urdf, plain, place = edited((END, float_on)), edited(name="plain.urdf"), pose((1.0, 2.0, 0.5), 0.7)
+    refused(
+        InvalidInputError, "'float' is floating.*--lock float=0, or place the base", load_robot, urdf, "tool"
+    )
+    robot, there, q = (
+        load_robot(urdf, "tool", base=place),
+        load_robot(plain, "tool", base=place),
+        np.array([0.1, 0.2, -0.3, 0.4]),
+    )
+    expected = place @ load_robot(plain, "tool").pose(q)
+    for other in (robot, there, robot_from_source(robot.source)):
+        np.testing.assert_allclose(other.pose(q), expected, atol=1e-12)
+        np.testing.assert_allclose(other.pose(q, "base"), place, atol=1e-12)
+    assert robot.reach > load_robot(plain, "tool").reach + 1.0
+    refused(InvalidInputError, r"robot\.base is no rigid pose", load_robot, plain, "tool", base=np.eye(4) * 2)
+
+
+def test_a_joint_may_be_called_like_a_link(edited):
+    """As in the descriptions of two arms that people own."""
+    for name, locked in (("wrist", {}), ("wrist", {"wrist": 0.2}), ("tool", {"tool": 0.0})):
+        urdf = edited((TWIST, f'name="{name}" type="revolute"'))
+        robot = load_robot(urdf, "tool", locked=locked)
+        assert robot.dof == 4 - len(locked) and np.isfinite(robot.pose(np.zeros(robot.dof))).all()
+
+
+# ---------------------------------------------------------------- files that are no robots
+
+
+@pytest.mark.parametrize(
+    ("replacements", "pattern"),
+    [
+        ([('<child link="wrist"/>', '<child link="elbow"/>')], "'elbow'.*child of bend, twist"),
+        ([('<child link="tool"/>', '<child link="toll"/>')], "joint 'mount'.*child 'toll' is no link"),
+        ([('name="twist" type', 'name="bend" type')], "more than one joint called 'bend'"),
+        ([('<link name="wrist">', '<link name="elbow">')], "more than one link called 'elbow'"),
+        ([(END, '<link name="alone"/></robot>')], "one link that no joint moves; it has 'base', 'alone'"),
+        ([('upper="0.7"', 'upper="wide"')], "joint 'rail'.*upper is 'wide', no number"),
+        ([('upper="0.7"', 'upper="70"')], "joint 'rail' slides to 70 m: at most 10 m"),
+        ([('upper="0.7"', 'upper="1e308"')], "joint 'rail' slides to 1e.308 m"),
+        ([('upper="0.7"', 'upper="inf"')], "'rail' has limits"),
+        ([('xyz="0 0 0.15" rpy="0 0.4 0"', 'xyz="0 0 150"')], "reaches 1.* m.*links or base"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_file_that_is_no_robot_is_refused_with_one_line(edited, refused, replacements, pattern):
+    refused(InvalidInputError, pattern, load_robot, edited(*replacements), "tool")
+
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]], dtype=float)
+
+
+@pytest.mark.parametrize(
+    ("last", "pattern"),
+    [
+        ((0.5, 0.5, 0.0), "no volume"),
+        ((0.5, 0.5, 1e-12), "no volume"),
+        ((0, 0, 1e30), "1e.30 m"),
+        ((0, 0, np.nan), "nan m"),
+    ],
+)
+def test_a_mesh_without_volume_or_of_absurd_size_ends_in_one_line_not_in_the_process(
+    edited, tmp_path, last, pattern
+):
+    """In a process of its own: the hull of a flat mesh used to end it."""
+    corners = np.vstack([CORNERS[:4], last])
+    (tmp_path / "m.stl").write_bytes(binary_stl(corners[[0, 1, 2]], corners[[1, 3, 2]], corners[[0, 1, 4]]))
+    urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
+    script = (
+        "from cvqmpt_lab.robot.loading import load_robot\n"
+        f"try: load_robot({str(urdf)!r}, 'tool')\n"
+        "except Exception as e: print(type(e).__name__, e)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("InvalidInputError collision mesh")
+    assert "m.stl" in done.stdout and pattern.replace(".", "+") in done.stdout.replace(".", "+")
+
+
+# ---------------------------------------------------------------- meshes in packages
+
+
+@pytest.fixture
+def packaged(edited, tmp_path):
+    """A URDF whose mesh lies in a package elsewhere, and that package's folder."""
+    package = tmp_path / "elsewhere" / "shapes"
+    package.mkdir(parents=True)
+    (package / "ball.stl").write_bytes(binary_stl(CORNERS[:3], [[0, 0, 0], [1, 0, 0], [0, 0, 1]]))
+    return edited((SPHERE, '<mesh filename="package://shapes/ball.stl"/>')), package
+
+
+def test_a_mesh_is_found_in_package_folders_and_in_ros_s(packaged, refused, monkeypatch):
+    urdf, package = packaged
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    pattern = (
+        r"shapes/ball.stl is in none.*--package-dir \(not given\), ROS_PACKAGE_PATH \(not set\), the folders"
+    )
+    refused(InvalidInputError, pattern, load_robot, urdf, "tool")
+    for folder in (package.parent, package):
+        assert load_robot(urdf, "tool", package_dirs=(folder,)).dof == 4
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{package.parent}")
+    assert load_robot(urdf, "tool").dof == 4
+
+
+# ---------------------------------------------------------------- by name
+
+
+@pytest.mark.parametrize(
+    "name", ["ur5", "xarm7", "z1", "so-arm", "tiago-no-hand", "talos-left-arm", "kinova"]
+)
+def test_an_arm_is_loaded_by_its_name(name):
+    robot = robot_from_source({"name": name})
+    assert robot.end_effector == ARMS[name].end_effector and 5 <= robot.dof <= 8
+    assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < MOST_REACH
+    states = robot.random_configurations(np.random.default_rng(0), 20)
+    assert all(np.linalg.norm(robot.pose(q)[:3, 3]) <= robot.reach for q in states)
+
+
+def test_what_is_given_beside_a_name_overrides_it():
+    source = {
+        "name": "ur5",
+        "locked": {"elbow_joint": 1.0},
+        "acceleration_limits": 3.0,
+        "end_effector": "ee_link",
+    }
+    robot = robot_from_source(source)
+    assert robot.dof == 5 and robot.end_effector == "ee_link" and robot.source == source
+    assert robot.acceleration_limits.tolist() == [3.0] * 5
+
+
+@pytest.mark.parametrize(
+    ("source", "pattern"),
+    [
+        (
+            {"name": "panda", "fingeropening": 0.01},
+            r"robot\.fingeropening is unknown; did you mean 'finger_opening'",
+        ),
+        ({"name": "panda", "lock": {}}, r"robot\.lock is unknown; did you mean 'locked'"),
+        (
+            {"urdf": "a.urdf", "end_efector": "tool"},
+            r"robot\.end_efector is unknown; did you mean 'end_effector'",
+        ),
+        ({"urdf": "a.urdf", "end_effector": "tool", "name": "panda"}, r"robot\.name is unknown"),
+        ({"name": "panda", "finger_opening": False}, r"robot\.finger_opening is False"),
+        ({"name": "ur5", "finger_opening": 0.01}, "the panda's, not that of 'ur5'"),
+        ({"name": "panda", "locked": [1]}, r"robot\.locked is \[1\]; it must be an object"),
+        ({"name": "panda", "package_dirs": "x"}, r"robot\.package_dirs is 'x'; it must be a list"),
+        ({"name": "panda", "base": [0, 0]}, r"robot\.base has shape \(2,\)"),
+        ({"name": "panda", "end_effector": 5}, r"robot\.end_effector is 5; it must be str"),
+        ({"name": True}, r"robot\.name is True"),
+        ({}, r"robot needs 'name' \(panda, ur3, .*\) or 'urdf' and 'end_effector'"),
+        (0.5, r"robot is 0\.5; it must be an object"),
+        (None, "robot is None; it must be an object"),
+    ],
+    ids=str,
+)
+def test_a_wrong_field_of_a_robot_is_named(refused, source, pattern):
+    refused(CvqmptError, pattern, robot_from_source, source)
