@@ -19,6 +19,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.srdf import LeftOut
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 
@@ -124,7 +125,7 @@ def test_scenes_without_obstacles_are_planned(problem):
 def bulky_urdf(slider_arm_urdf, tmp_path):
     """The slider arm with a tool so large that it always overlaps the upper arm."""
     path = tmp_path / "bulky.urdf"
-    path.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="3 3 3"'))
+    path.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="0.9 0.9 0.9"'))
     return path
 
 
@@ -132,7 +133,10 @@ def test_a_robot_whose_hulls_always_overlap_is_planned(bulky_urdf):
     robot = load_robot(bulky_urdf, "tool")
     assert LeftOut("elbow", "tool", "Adjacent") in robot.left_out_pairs
     assert LeftOut("shoulder", "tool", "Always") in robot.left_out_pairs
-    problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
+    checker = CollisionChecker(robot, NOTHING)
+    states = robot.random_configurations(np.random.default_rng(0), 200)
+    start = states[~checker.in_collision_batch(states)][0]
+    problem = PlanningProblem("bulky", robot, NOTHING, start, 0.9 * start[None])
     assert ConstrainedSpace(problem).valid(problem.start)
     assert solve(problem, "birrt", ENOUGH, seed=0).solved
 
