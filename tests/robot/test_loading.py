@@ -235,8 +235,8 @@ CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]], 
 @pytest.mark.parametrize(
     ("last", "pattern"),
     [
-        ((0.5, 0.5, 0.0), "no volume"),
-        ((0.5, 0.5, 1e-12), "no volume"),
+        ((0.5, 0.5, 0.0), "m thick"),
+        ((0.5, 0.5, 1e-12), "m thick"),
         ((0, 0, 1e30), "1e.30 m"),
         ((0, 0, np.nan), "nan m"),
     ],

@@ -331,7 +331,7 @@ def test_bad_objects_are_refused(panda, world):
         ({"T_world_joint": [[1.0]]}, "T_world_joint has shape"),
         ({"may_touch": ["x"]}, "may_touch.*must be a list"),
         ({"casing": data["parts"]}, "two pieces called"),
-        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "at least 4"),
+        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "m thick"),
     ]:
         with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
             robot_from_source({**panda.source, "articulated": data | changes})
@@ -340,6 +340,6 @@ def test_bad_objects_are_refused(panda, world):
     with pytest.raises(InvalidInputError, match="must be an object"):
         robot_from_source({**panda.source, "articulated": [1]})
     flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
-    with pytest.raises(InvalidInputError, match="'p' has no volume"):
+    with pytest.raises(InvalidInputError, match="'p' is 0 m thick"):
         part = {"name": "p", "T": np.eye(4).tolist(), "vertices": flat}
         robot_from_source({**panda.source, "articulated": data | {"parts": [part], "may_touch": []}})
