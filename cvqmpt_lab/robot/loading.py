@@ -129,7 +129,7 @@ def _built(source: Mapping[str, Any]) -> Robot:
     axes = axis_frames(model)
     links = tuple(link_geometry(g, axes) for g in geometry.geometryObjects)
     kinematics = kinematics_arrays(model, axes)
-    left_out = left_out_pairs(model, geometry, links, kinematics, files.srdf and Path(files.srdf))
+    left_out = left_out_pairs(model, geometry, links, kinematics, Path(files.srdf) if files.srdf else None)
     accelerations = None
     if files.acceleration_limits is not None:
         names = list(model.names)[1:]
