@@ -5,8 +5,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
-from cvqmpt_lab.results.statistics import Interval
-from paper_tables.comparison import CONFIDENCE
+from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
 _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}

@@ -10,40 +10,42 @@ from statistics import median
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, problem_key
+from cvqmpt_lab.results.statistics import (
+    Interval,
+    geometric_mean_interval,
+    mean_of_solved,
+    problem_key,
+    wilson_interval,
+)
 
-CONFIDENCE = 0.95
 REFERENCE = "birrt"
 """Whose work says how hard a problem is, and what the split's ratios are taken against."""
 HARD_SHARE = 1 / 3
 
 Value = Callable[[ResultRow], float | None]
 """A number of a run, None where the row does not say."""
+Statistic = Callable[[Sequence[float]], Interval]
 
 
-@dataclass(frozen=True)
-class PaperCosts:
-    """What a unit of work costs in a setting like the paper's [s]."""
+STATE_CHECK_COST = 3.5e-3
+"""PyBullet asked for all distances of a Panda in this kitchen, 0.7 ms to itself and 2.8 ms to obstacles [s]."""
+PROJECTION_COST = 2e-5
+"""Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does more in Python,
+so this is a lower bound and favours planners that project much."""
 
-    state_check: float = 3.5e-3
-    """PyBullet asked for all distances of a Panda in this kitchen, 0.7 ms to itself and 2.8 ms to obstacles."""
-    projection: float = 2e-5
-    """Newton's method in Python, on numpy and a compiled kinematics library. The published code does more in
-    Python, so this is a lower bound and favours planners that project much."""
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < math.inf:
-                raise InvalidInputError(f"paper cost {name!r} is {value}; give seconds, 0 or more")
+def paper_cost(row: ResultRow) -> float | None:
+    """Search at what work costs in a setting like the paper's, and networks as measured [s]; nothing else."""
+    if row.n_projections is None or row.n_state_checks is None:
+        return None
+    searched = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
+    return searched + network_time(row)
 
-    def of(self, row: ResultRow) -> float | None:
-        """Search at these costs and networks as measured [s]; goals and simplification are left out."""
-        if row.n_projections is None or row.n_state_checks is None:
-            return None
-        networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
-        return row.n_projections * self.projection + row.n_state_checks * self.state_check + networks
+
+def network_time(row: ResultRow) -> float:
+    """What networks and the latent update took [s]."""
+    return sum(t or 0.0 for t in (row.t_encode_s, row.t_predict_s, row.t_optimize_s))
 
 
 def work(row: ResultRow) -> float | None:
@@ -76,6 +78,16 @@ def censored(rows: Sequence[ResultRow], value: Value) -> list[float]:
     return defined + [math.inf] * (len(rows) - len(found))
 
 
+def share(rows: Sequence[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
+    """Percentage of rows."""
+    return wilson_interval(sum(map(counted, rows)), len(rows)).scaled(100)
+
+
+def mean(values: Sequence[float]) -> Interval:
+    """Mean of finite values; each bootstrap starts from the same seed, so that metrics do not interact."""
+    return mean_of_solved(values, np.random.default_rng(0))
+
+
 def paired_ratio(
     rows: Iterable[ResultRow],
     baseline: Iterable[ResultRow],
@@ -99,7 +111,7 @@ def paired_ratio(
         if own and other and min(own, other) > 0.0 and (problems is None or row.problem in problems):
             logs.setdefault(row.problem, []).append(math.log(own / other))
     ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
-    return geometric_mean_interval(ratios, np.random.default_rng(0), confidence=CONFIDENCE)
+    return geometric_mean_interval(ratios, np.random.default_rng(0))
 
 
 @dataclass(frozen=True)

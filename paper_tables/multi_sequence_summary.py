@@ -7,17 +7,16 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
-import numpy as np
-
 from cvqmpt_lab.results.phase_name import split_problem
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
-from cvqmpt_lab.results.statistics import Interval, mean_of_solved, median_interval, wilson_interval
-from paper_tables.comparison import CONFIDENCE, Value, censored, paired_ratio
+from cvqmpt_lab.results.statistics import Interval, median_interval
+from paper_tables.comparison import Statistic, Value, censored, mean, network_time, paired_ratio, share
 from paper_tables.paper_numbers import PublishedValue, notes_on
 from paper_tables.summary import Metric, PlannerSummary, Runs, by_planner, rows_of_one_suite, summarised
 
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 """The phases whose times the paper's add up to, as far as can be inferred."""
+SOLVED = attrgetter("solved")
 PARTS: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
 """Phases that a time sums over, by name; None: all."""
 
@@ -58,10 +57,6 @@ def total_time(row: ResultRow) -> float | None:
     return row.t_total_s + row.execution_time_s
 
 
-def _network_time(row: ResultRow) -> float:
-    return sum(t or 0.0 for t in (row.t_encode_s, row.t_predict_s, row.t_optimize_s))
-
-
 TIMES: Mapping[str, tuple[str, Value]] = {
     "planning_time": ("Planning", attrgetter("t_total_s")),
     "execution_time": ("Execution", attrgetter("execution_time_s")),
@@ -71,7 +66,7 @@ TIMES: Mapping[str, tuple[str, Value]] = {
 
 PHASE_COLUMNS: Mapping[str, tuple[str, Value]] = {
     "goals": ("goals [s]", attrgetter("t_goals_s")),
-    "networks": ("networks [s]", _network_time),
+    "networks": ("networks [s]", network_time),
     "search": ("search [s]", attrgetter("t_plan_s")),
     "simplify": ("simplify [s]", attrgetter("t_simplify_s")),
     "planning": ("planning [s]", attrgetter("t_total_s")),
@@ -93,13 +88,16 @@ def phase_metric(column: str, phase: str) -> str:
 
 def metrics(phases: Iterable[str]) -> dict[str, Metric]:
     """Everything that is measured of tasks of these phases."""
-    found = {"solved": Metric("solved [%]", "%", lambda runs: _solved(task_rows(runs.rows)))}
+    found = {"solved": Metric("solved [%]", "%", lambda runs: share(task_rows(runs.rows), SOLVED))}
     for part, counted in PARTS.items():
         for time, (label, value) in TIMES.items():
             published = time if part == "paper" else None
-            mean, median = time_metric(time, part, "mean"), time_metric(time, part, "median")
-            found[mean] = Metric(label, "s", _over_tasks(_mean, value, counted), published)
-            found[median] = Metric(label, "s", _over_tasks(_median, value, counted))
+            found[time_metric(time, part, "mean")] = Metric(
+                label, "s", _over_tasks(mean, value, counted), published
+            )
+            found[time_metric(time, part, "median")] = Metric(
+                label, "s", _over_tasks(median_interval, value, counted)
+            )
     for phase in phases:
         found[phase_metric("solved", phase)] = Metric("solved [%]", "%", _solved_in(phase))
         for column, (label, value) in PHASE_COLUMNS.items():
@@ -108,20 +106,8 @@ def metrics(phases: Iterable[str]) -> dict[str, Metric]:
     return found
 
 
-def _median(values: Sequence[float]) -> Interval:
-    return median_interval(values, CONFIDENCE)
-
-
-def _mean(values: Sequence[float]) -> Interval:
-    return mean_of_solved(values, np.random.default_rng(0), confidence=CONFIDENCE)
-
-
-def _solved(rows: Sequence[ResultRow]) -> Interval:
-    return wilson_interval(sum(row.solved for row in rows), len(rows), CONFIDENCE).scaled(100)
-
-
 def _over_tasks(
-    statistic: Callable[[Sequence[float]], Interval], value: Value, phases: Collection[str] | None
+    statistic: Statistic, value: Value, phases: Collection[str] | None
 ) -> Callable[[Runs], Interval]:
     """Over all tasks, failures as infinite."""
     return lambda runs: statistic(censored(task_rows(runs.rows, phases), value))
@@ -137,12 +123,12 @@ def reached(rows: Iterable[ResultRow], phase: str) -> list[ResultRow]:
 
 
 def _solved_in(phase: str) -> Callable[[Runs], Interval]:
-    return lambda runs: _solved(reached(runs.rows, phase))
+    return lambda runs: share(reached(runs.rows, phase), SOLVED)
 
 
 def _median_in(phase: str, value: Value) -> Callable[[Runs], Interval]:
     """Over the runs that reached the phase, failures as infinite."""
-    return lambda runs: _median(censored(reached(runs.rows, phase), value))
+    return lambda runs: median_interval(censored(reached(runs.rows, phase), value))
 
 
 @dataclass(frozen=True)

@@ -9,25 +9,25 @@ from functools import partial
 from operator import attrgetter
 from typing import NamedTuple
 
-import numpy as np
-
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
     Interval,
     jointly_solved,
-    mean_of_solved,
     median_interval,
     problem_key,
-    wilson_interval,
 )
 from paper_tables.comparison import (
-    CONFIDENCE,
+    PROJECTION_COST,
     RATIOS,
     REFERENCE,
-    PaperCosts,
+    STATE_CHECK_COST,
+    Statistic,
     Value,
     censored,
+    mean,
     paired_ratio,
+    paper_cost,
+    share,
     split_by_work,
     split_metric,
 )
@@ -36,18 +36,7 @@ from paper_tables.summary import Metric, PlannerSummary, Runs, by_planner, rows_
 
 BASELINE = "ompl-projected"
 CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-COSTS = PaperCosts()
 COST_RATIO_BASELINES = (REFERENCE, BASELINE)
-
-Statistic = Callable[[Sequence[float]], Interval]
-
-
-def _median(values: Sequence[float]) -> Interval:
-    return median_interval(values, CONFIDENCE)
-
-
-def _mean(values: Sequence[float]) -> Interval:
-    return mean_of_solved(values, np.random.default_rng(0), confidence=CONFIDENCE)
 
 
 def _over_all(statistic: Statistic, value: Value) -> Callable[[Runs], Interval]:
@@ -67,7 +56,7 @@ def _over_solved(statistic: Statistic, value: Value, joint: bool = False) -> Cal
 
 def _share(counted: Callable[[ResultRow], bool]) -> Callable[[Runs], Interval]:
     """Percentage of all runs."""
-    return lambda runs: wilson_interval(sum(map(counted, runs.rows)), len(runs.rows), CONFIDENCE).scaled(100)
+    return lambda runs: share(runs.rows, counted)
 
 
 def _ratio(value: Value, baseline: str, part: str | None = None) -> Callable[[Runs], Interval]:
@@ -98,23 +87,27 @@ _vertices = attrgetter("vertices")
 
 METRICS: Mapping[str, Metric] = {
     "accuracy": Metric("Accuracy", "%", _share(attrgetter("solved")), "accuracy"),
-    "time_median": Metric("Time", "s", _over_all(_median, _time)),
-    "time_mean": Metric("Time", "s", _over_all(_mean, _time), "time"),
-    "vertices_median": Metric("Vertices", "1", _over_solved(_median, _vertices)),
-    "vertices_mean": Metric("Vertices", "1", _over_solved(_mean, _vertices), "vertices"),
-    "path_length_median": Metric("Path length", "rad", _over_solved(_median, _length, joint=True)),
-    "path_length_mean": Metric("Path length", "rad", _over_solved(_mean, _length, joint=True), "path_length"),
-    "path_length_raw_median": Metric("raw length [rad]", "rad", _over_solved(_median, _raw, joint=True)),
-    "projections_median": Metric("projections", "1", _over_all(_median, attrgetter("n_projections"))),
-    "newton_iterations_median": Metric(
-        "Newton iterations", "1", _over_all(_median, attrgetter("n_newton_iterations"))
+    "time_median": Metric("Time", "s", _over_all(median_interval, _time)),
+    "time_mean": Metric("Time", "s", _over_all(mean, _time), "time"),
+    "vertices_median": Metric("Vertices", "1", _over_solved(median_interval, _vertices)),
+    "vertices_mean": Metric("Vertices", "1", _over_solved(mean, _vertices), "vertices"),
+    "path_length_median": Metric("Path length", "rad", _over_solved(median_interval, _length, joint=True)),
+    "path_length_mean": Metric("Path length", "rad", _over_solved(mean, _length, joint=True), "path_length"),
+    "path_length_raw_median": Metric(
+        "raw length [rad]", "rad", _over_solved(median_interval, _raw, joint=True)
     ),
-    "state_checks_median": Metric("state checks", "1", _over_all(_median, attrgetter("n_state_checks"))),
+    "projections_median": Metric("projections", "1", _over_all(median_interval, attrgetter("n_projections"))),
+    "newton_iterations_median": Metric(
+        "Newton iterations", "1", _over_all(median_interval, attrgetter("n_newton_iterations"))
+    ),
+    "state_checks_median": Metric(
+        "state checks", "1", _over_all(median_interval, attrgetter("n_state_checks"))
+    ),
     "time_ratio": Metric(f"time / {BASELINE}", "1", _ratio(_time, BASELINE)),
     "fallbacks": Metric("by fallback [%]", "%", _share(lambda row: row.fallback is not None)),
-    "paper_cost_median": Metric("time at the paper's cost [s]", "s", _over_all(_median, COSTS.of)),
+    "paper_cost_median": Metric("time at the paper's cost [s]", "s", _over_all(median_interval, paper_cost)),
     **{
-        f"paper_cost_ratio_{name}": Metric(f"the same / {name}", "1", _ratio(COSTS.of, name))
+        f"paper_cost_ratio_{name}": Metric(f"the same / {name}", "1", _ratio(paper_cost, name))
         for name in COST_RATIO_BASELINES
     },
     **{
@@ -158,8 +151,8 @@ METHOD_NOTES = (
     "Projections, Newton iterations, state checks: medians over all runs with failures counted as infinite.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap interval.",
     "By fallback: runs whose path did not come the way the planner's name promises; they count as its own.",
-    f"At the paper's cost: {1e3 * COSTS.state_check:g} ms a state check (PyBullet, itself and obstacles), "
-    f"{1e3 * COSTS.projection:g} ms a projection (Newton's method in Python; a lower bound), networks as measured "
+    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, itself and obstacles), "
+    f"{1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower bound), networks as measured "
     "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
     f"Easy and hard: hard are the problems in the top third by the work (projections + state checks) of {REFERENCE} "
     "with uniform samples, median over seeds. Ratios are geometric means over problems that both solved, bootstrap "

@@ -15,6 +15,9 @@ from scipy.stats import binom, binomtest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow, natural_key
 
+CONFIDENCE = 0.95
+"""Of every interval in a table."""
+
 ProblemKey = tuple[str, str, int]
 """(suite, problem, seed): what two planners must share for their runs to be a pair."""
 
@@ -44,7 +47,7 @@ class Interval:
 UNDEFINED = Interval(None, None, None, 0)
 
 
-def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interval:
+def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> Interval:
     """Success rate with Wilson's score interval (Wilson 1927), as fractions in [0, 1].
 
     Raises
@@ -61,7 +64,7 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interva
     return Interval(successes / n, float(bounds.low), float(bounds.high), n)
 
 
-def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
+def median_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Median with an order-statistic (sign-test) interval; failures are +inf.
 
     The interval runs from the r-th smallest to the r-th largest value, with the largest r for which
@@ -86,7 +89,7 @@ def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
 
 
 def mean_of_solved(
-    values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
+    values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = CONFIDENCE
 ) -> Interval:
     """Mean of the finite values with a percentile-bootstrap interval; failures (+inf) are left out.
 
@@ -103,7 +106,7 @@ def mean_of_solved(
 
 
 def geometric_mean_interval(
-    values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = 0.95
+    values: ArrayLike, rng: np.random.Generator, n_bootstrap: int = 2000, confidence: float = CONFIDENCE
 ) -> Interval:
     """Geometric mean, of ratios say, with a percentile-bootstrap interval; one value has no interval.
 

@@ -10,23 +10,21 @@ from cvqmpt_lab.show.meshes import poses_along
 from experiments.figures.histogram import write_csv
 from experiments.figures.latent_update import LatentUpdate
 
-COLUMNS = ("code", "goal", "when", "draw", "x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
+NUMBERS = ("x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
 
 
 @dataclass(frozen=True, eq=False)
 class HandPoses:
-    """Hands at s configurations.
-
-    Attributes
-    ----------
-    q: (s, n) [rad]. positions: (s, 3) [m]. up: (s, 3), directions of the hand's x axis, which points up when
-        a can is carried upright. tilt: (s,), angle between it and the vertical [rad].
-    """
+    """Hands at s configurations."""
 
     q: np.ndarray
+    """(s, n) [rad]."""
     positions: np.ndarray
+    """(s, 3) [m]."""
     up: np.ndarray
+    """(s, 3), directions of the hand's x axis, which points up when a can is carried upright."""
     tilt: np.ndarray
+    """(s,), angle between that axis and the vertical [rad]."""
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray) -> "HandPoses":
@@ -39,13 +37,14 @@ class HandPoses:
 
 @dataclass(frozen=True, eq=False)
 class HandChange:
-    """Hands at the same draws of a code's Gaussian before and after; g_before, g_after: (s,), F^T F there."""
+    """Hands at the same draws of a code's Gaussian before and after."""
 
     code: int
     goal: int
     before: HandPoses
     after: HandPoses
     g_before: np.ndarray
+    """F^T F there (s,)."""
     g_after: np.ndarray
 
     @property
@@ -81,14 +80,14 @@ def hand_change(update: LatentUpdate, index: int, count: int = 120) -> HandChang
 
 
 def write_hands(change: HandChange, path: Path) -> Path:
-    """Write a row (`COLUMNS`) for every hand."""
-    rows = [
-        (change.code, change.goal, when, i)
-        + tuple(map(float, (*hands.positions[i], *hands.up[i], hands.tilt[i], g[i])))
-        for when, hands, g in (
-            ("before", change.before, change.g_before),
-            ("after", change.after, change.g_after),
-        )
-        for i in range(len(g))
-    ]
-    return write_csv(path, COLUMNS, rows)
+    """Write a row for every hand."""
+    sides = (("before", change.before, change.g_before), ("after", change.after, change.g_after))
+    rows = []
+    for when, hands, g in sides:
+        for i in range(len(g)):
+            numbers = map(float, (*hands.positions[i], *hands.up[i], hands.tilt[i], g[i]))
+            rows.append(
+                {"code": change.code, "goal": change.goal, "when": when, "draw": i}
+                | dict(zip(NUMBERS, numbers, strict=True))
+            )
+    return write_csv(path, rows)

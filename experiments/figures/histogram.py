@@ -6,8 +6,9 @@ one near it; its equation `markov` bounds the share of draws with F^T F >= k by 
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,18 +24,6 @@ THRESHOLDS = tuple(float(f"{k:.3g}") for k in np.geomspace(1e-3, 10.0, 25))
 """At which the tail is measured and bounded [the constraint's units, squared]."""
 
 HISTOGRAM_FILE, VALUES_FILE, MARKOV_FILE = "histogram.csv", "values.csv", "markov.csv"
-HISTOGRAM_COLUMNS = ("code", "goal", "role", "from", "to", "before", "after")
-VALUES_COLUMNS = (
-    "code",
-    "goal",
-    "role",
-    "g_before",
-    "g_after",
-    "satisfied_before",
-    "satisfied_after",
-    "kept",
-)
-MARKOV_COLUMNS = ("code", "goal", "role", "when", "k", "tail", "bound")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +96,11 @@ class CodeChange:
     g_before: float
     g_after: float
 
+    @property
+    def name(self) -> dict[str, object]:
+        """The cells that begin its rows."""
+        return {"code": self.code, "goal": self.goal, "role": self.role}
+
 
 def code_changes(update: LatentUpdate) -> list[CodeChange]:
     """The far and the near code."""
@@ -131,60 +125,55 @@ def code_changes(update: LatentUpdate) -> list[CodeChange]:
 def write_tables(update: LatentUpdate, changes: Sequence[CodeChange], folder: Path) -> list[Path]:
     """Write the numbers of the figure and those of every predicted code; returns the files."""
     tables = (
-        (HISTOGRAM_FILE, HISTOGRAM_COLUMNS, _histogram_rows(changes)),
-        (VALUES_FILE, VALUES_COLUMNS, value_rows(update)),
-        (MARKOV_FILE, MARKOV_COLUMNS, _markov_rows(changes)),
+        (HISTOGRAM_FILE, _histogram_rows(changes)),
+        (VALUES_FILE, value_rows(update)),
+        (MARKOV_FILE, _markov_rows(changes)),
     )
-    return [write_csv(folder / name, columns, rows) for name, columns, rows in tables]
+    return [write_csv(folder / name, rows) for name, rows in tables]
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    """Write a table, numbers to 6 digits, at once or not at all."""
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
+    """Write a table whose rows are cells by column, numbers to 6 digits, at once or not at all."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
     for row in rows:
-        writer.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in row])
+        writer.writerow({name: f"{x:.6g}" if isinstance(x, float) else x for name, x in row.items()})
     write_text(path, text.getvalue())
     return path
 
 
-def value_rows(update: LatentUpdate) -> list[tuple[object, ...]]:
-    """A row (`VALUES_COLUMNS`) for every predicted code: mean of F^T F, share of draws where F is zero."""
+def value_rows(update: LatentUpdate) -> list[dict[str, object]]:
+    """A row for every predicted code: mean of F^T F, share of draws where F is zero."""
     roles = {index: role for role, index in update.representatives().items()}
-    before, after = update.g_before, update.g_after
     return [
-        (
-            int(update.prediction.codes[i]),
-            int(update.prediction.goal_of[i]),
-            roles.get(i, ""),
-            float(before[i].mean()),
-            float(after[i].mean()),
-            float((before[i] == 0.0).mean()),
-            float((after[i] == 0.0).mean()),
-            int(update.optimized.kept[i]),
-        )
-        for i in range(len(update.prediction.codes))
+        {
+            "code": int(update.prediction.codes[i]),
+            "goal": int(update.prediction.goal_of[i]),
+            "role": roles.get(i, ""),
+            "g_before": float(before.mean()),
+            "g_after": float(after.mean()),
+            "satisfied_before": float((before == 0.0).mean()),
+            "satisfied_after": float((after == 0.0).mean()),
+            "kept": int(update.optimized.kept[i]),
+        }
+        for i, (before, after) in enumerate(zip(update.g_before, update.g_after, strict=True))
     ]
 
 
-def _histogram_rows(changes: Sequence[CodeChange]) -> list[tuple[object, ...]]:
+def _histogram_rows(changes: Iterable[CodeChange]) -> list[dict[str, object]]:
     return [
-        (change.code, change.goal, change.role, float(low), float(high), int(before), int(after))
+        {**change.name, "from": float(low), "to": float(high), "before": int(before), "after": int(after)}
         for change in changes
-        for low, high, before, after in zip(
-            change.histogram.edges[:-1],
-            change.histogram.edges[1:],
-            change.histogram.before,
-            change.histogram.after,
-            strict=True,
+        for (low, high), before, after in zip(
+            pairwise(change.histogram.edges), change.histogram.before, change.histogram.after, strict=True
         )
     ]
 
 
-def _markov_rows(changes: Sequence[CodeChange]) -> list[tuple[object, ...]]:
+def _markov_rows(changes: Iterable[CodeChange]) -> list[dict[str, object]]:
     return [
-        (change.code, change.goal, change.role, when, float(k), float(tail), float(bound))
+        {**change.name, "when": when, "k": float(k), "tail": float(tail), "bound": float(bound)}
         for change in changes
         for when, markov in (("before", change.before), ("after", change.after))
         for k, tail, bound in zip(markov.k, markov.tail, markov.bound, strict=True)

@@ -27,15 +27,11 @@ RANKS: Mapping[str, float] = {FAR: 0.9, NEAR: 0.1}
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateSettings:
-    """What is predicted and how it is measured.
-
-    Attributes
-    ----------
-    samples: draws of each code's Gaussian, before and after.
-    """
+    """What is predicted and how it is measured."""
 
     seed: int = 0
     samples: int = 2000
+    """Draws of each code's Gaussian, before and after."""
     cameras: CameraSettings = field(default_factory=CameraSettings.like_training)
     predictor: PredictorSettings = field(default_factory=PredictorSettings)
     latent: LatentSettings = field(default_factory=LatentSettings)
@@ -50,10 +46,12 @@ class UpdateSettings:
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """Gaussians of codes: means (c, n) [rad], scales (c, n, n) [rad], lower triangular: q = mean + scale @ noise."""
+    """Gaussians of codes."""
 
     means: np.ndarray
+    """(c, n) [rad]."""
     scales: np.ndarray
+    """(c, n, n) [rad], lower triangular: q = mean + scale @ noise."""
 
     def draws(self, code: int, noise: np.ndarray) -> np.ndarray:
         """Configurations (s, n) [rad] of one code from standard normal noise (s, n)."""
@@ -62,24 +60,21 @@ class Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class LatentUpdate:
-    """A prediction before and after the update.
-
-    Attributes
-    ----------
-    problem: with its goals. cloud: (m, 3) [m], what the model saw.
-    before, after: Gaussians of the c predicted codes.
-    noise: (s, n), standard normal. g_before, g_after: (c, s), F^T F at the draws that noise makes
-        [the constraint's units, squared].
-    """
+    """A prediction before and after the update."""
 
     problem: PlanningProblem
+    """With its goals."""
     cloud: np.ndarray
+    """What the model saw (m, 3) [m]."""
     prediction: Prediction
     optimized: Optimized
     before: Gaussians
+    """Of the c predicted codes."""
     after: Gaussians
     noise: np.ndarray
+    """(s, n), standard normal."""
     g_before: np.ndarray
+    """F^T F at the draws that noise makes (c, s) [the constraint's units, squared]."""
     g_after: np.ndarray
 
     def representatives(self) -> dict[str, int]:

@@ -144,8 +144,8 @@ def test_updates_repeat_and_seeds_differ(update, few_goals, checkpoint):
 def test_satisfied_share_is_that_of_the_constraint(update, few_goals):
     row = value_rows(update)[3]
     draws = update.before.draws(3, update.noise)
-    assert row[3] == pytest.approx(squared_residual(few_goals.manifold, draws).mean(), abs=1e-12)
-    assert row[5] == pytest.approx(
+    assert row["g_before"] == pytest.approx(squared_residual(few_goals.manifold, draws).mean(), abs=1e-12)
+    assert row["satisfied_before"] == pytest.approx(
         np.mean([np.linalg.norm(few_goals.manifold.residual(q)) == 0.0 for q in draws]), abs=1e-12
     )
 

@@ -4,13 +4,12 @@ import math
 
 import pytest
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow
 from paper_tables.comparison import (
-    PaperCosts,
     censored,
     own_time,
     paired_ratio,
+    paper_cost,
     split_by_work,
     split_metric,
     work,
@@ -43,16 +42,9 @@ def run(planner, problem, checks=None, projections=0, time=1.0, length=1.0, seed
 def test_work_at_other_costs_adds_networks_and_leaves_goals_out():
     row = run("x", 0, 1000, 500, time=9.0, t_goals_s=2.0, t_encode_s=0.25, t_optimize_s=0.5)
     assert work(row) == 1500.0 and own_time(row) == 7.0
-    assert PaperCosts().of(row) == pytest.approx(1000 * 0.0035 + 500 * 0.00002 + 0.75)
-    assert PaperCosts(state_check=0.0, projection=1.0).of(row) == 500.75
+    assert paper_cost(row) == pytest.approx(1000 * 0.0035 + 500 * 0.00002 + 0.75)
     silent = run("x", 0)
-    assert work(silent) is None and PaperCosts().of(silent) is None and own_time(silent) == 1.0
-
-
-@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
-def test_costs_are_seconds(value):
-    with pytest.raises(InvalidInputError, match="'projection'"):
-        PaperCosts(projection=value)
+    assert work(silent) is None and paper_cost(silent) is None and own_time(silent) == 1.0
 
 
 def test_failures_are_infinite():
