@@ -1,12 +1,15 @@
-"""`cvqmpt problems`: list a suite's problems, or write them as json for `plan --problem-file` or `--task-file`."""
+"""`cvqmpt problems`: list or write the problems of a suite, or write one to start from, as json files for `plan`."""
 
 import argparse
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from cli.options import ProgressBar, positive_int
+from cli.options import ProgressBar, positive_int, writable_file
+from cvqmpt_lab.documents import to_text
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.files import make_folder
+from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.table import SUITES, suite_named
@@ -14,40 +17,88 @@ from experiments.suites.table import SUITES, suite_named
 EXAMPLES = (
     "cvqmpt problems list place-task --problems 5",
     "cvqmpt problems export place-task --out problems/",
+    "cvqmpt problems new mine.json --robot panda",
 )
-ACTIONS = ("list", "export")
+GOALS_WIN = "The goals are used as they are; take them out, and new ones are drawn from goal_region."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Action, suite, how many, where to."""
+    """Action, suite or file, how many, where to."""
     parser.add_argument("action", help=", ".join(ACTIONS))
-    parser.add_argument("suite", help=f"suite: {', '.join(SUITES)}")
+    parser.add_argument("what", help=f"suite: {', '.join(SUITES)}; with new: the file to write")
     parser.add_argument("--problems", type=positive_int, metavar="N", help="only the first N (all)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the json files (with export)")
+    parser.add_argument(
+        "--goals", action="store_true", help="write sampled goals beside the goal region (with export)"
+    )
+    parser.add_argument("--robot", metavar="NAME", help="robot of the new problem (panda)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Build each problem; print a line or write a file."""
     if args.action not in ACTIONS:
         raise UnknownChoiceError("action", args.action, ACTIONS)
-    suite = suite_named(args.suite)
+    for option, action in (
+        ("problems", "list or export"),
+        ("out", "export"),
+        ("goals", "export"),
+        ("robot", "new"),
+    ):
+        if getattr(args, option) and args.action not in action:
+            raise InvalidInputError(f"--{option} goes with {action}, not with {args.action}")
+    return ACTIONS[args.action](args)
+
+
+def _new(args: argparse.Namespace) -> int:
+    path = Path(args.what)
+    if path.exists():
+        raise InvalidInputError(f"{path} is there already; name another file")
+    from cli.problem_template import template
+
+    write_text(writable_file(path), to_text(template({"name": args.robot or "panda"})) + "\n")
+    print(f"{path} written; plan it with: cvqmpt plan --problem-file {path}")
+    return 0
+
+
+def _list(args: argparse.Namespace) -> int:
+    """A line for each problem."""
+
+    def line(index: int, problem: PlanningProblem | Task) -> None:
+        print(f"{index}: start {' '.join(f'{x:.3f}' for x in problem.start)}")
+
+    return _each(args, line)
+
+
+def _export(args: argparse.Namespace) -> int:
+    """A file for each problem."""
+    if args.out is None:
+        raise InvalidInputError("export needs --out DIR")
+    make_folder(args.out)
+
+    def write(index: int, problem: PlanningProblem | Task) -> None:
+        path, comment = args.out / f"{args.what}-{index:03d}.json", {}
+        if args.goals and isinstance(problem, PlanningProblem) and problem.goal_region is not None:
+            problem, comment = with_sampled_goals(problem)[0], {"_comment": GOALS_WIN}
+        write_text(path, to_text({**comment, **problem.to_dict()}) + "\n")
+
+    return _each(args, write)
+
+
+def _each(args: argparse.Namespace, act: Callable[[int, PlanningProblem | Task], None]) -> int:
+    suite = suite_named(args.what)
     indices = suite.problems[: args.problems]
-    if args.action == "export":
-        if args.out is None:
-            raise InvalidInputError("export needs --out DIR")
-        make_folder(args.out)
-    bar = ProgressBar(f"{args.action} {suite.name}")
-    unsolvable = 0
+    bar, unsolvable = ProgressBar(f"{args.action} {suite.name}"), 0
     for done, index in enumerate(indices, start=1):
         problem = suite.item(index)
         if isinstance(problem, UnsolvableProblem):
             unsolvable += 1
             print(f"{index}: unsolvable, {problem.reason}")
-        elif args.action == "list":
-            print(f"{index}: start {' '.join(f'{x:.3f}' for x in problem.start)}")
         else:
-            whole = problem if isinstance(problem, Task) else with_sampled_goals(problem)[0]
-            whole.save(args.out / f"{suite.name}-{index:03d}.json")
+            act(index, problem)
+        if args.action == "export":
             bar(done, len(indices))
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")
     return 0
+
+
+ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {"list": _list, "export": _export, "new": _new}

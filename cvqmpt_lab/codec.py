@@ -211,7 +211,7 @@ def _scalar(kind: Any, value: Any, where: str) -> Any:
 def _content(value: Any) -> Any:
     """What equality and hash look at."""
     if isinstance(value, np.ndarray):
-        return value.shape, value.tobytes()
+        return value.shape if value.size else (), value.tobytes()
     if isinstance(value, Mapping):
         return tuple((name, _content(part)) for name, part in value.items())
     return tuple(map(_content, value)) if isinstance(value, tuple | list) else value

@@ -58,9 +58,9 @@ def to_text(plain: Any, indent: int = 0) -> str:
 
 
 def _is_row(plain: Any) -> bool:
-    """Whether it is a list of scalars, or a small matrix."""
+    """Whether it is a list of numbers, or a small matrix."""
     if not isinstance(plain, list):
         return False
-    rows = [item for item in plain if isinstance(item, dict | list)]
+    rows = [item for item in plain if not isinstance(item, float | int | None)]
     small = all(isinstance(row, list) and _is_row(row) for row in rows) and sum(map(len, rows)) <= 16
     return not rows or (small and len(rows) == len(plain))

@@ -118,13 +118,17 @@ def read_text(path: Path, what: str = "file") -> str:
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
     """Read one json object as `read_text` does; a key that occurs twice in one object is refused."""
-    text = read_text(path, what)
+    return json_object(read_text(path, what), f"{what} {path}")
+
+
+def json_object(text: str, what: str) -> dict[str, Any]:
+    """Return the json object of a text; a key that occurs twice in one object is refused."""
     try:
         data = json.loads(text, object_pairs_hook=_unique_keys)
     except (ValueError, RecursionError) as error:  # no json, or nested too deeply
-        raise InvalidInputError(f"{what} {path} is not json: {error}") from error
+        raise InvalidInputError(f"{what} is not json: {error}") from error
     if not isinstance(data, dict):
-        raise InvalidInputError(f"{what} {path} must hold one json object")
+        raise InvalidInputError(f"{what} must hold one json object")
     return data
 
 

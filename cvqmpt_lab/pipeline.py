@@ -8,6 +8,7 @@ import numpy as np
 
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.methods.method import Method, Stages
 from cvqmpt_lab.methods.table import planner_named, require_fit
@@ -112,7 +113,8 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
 
     The draw depends on the problem's start alone, so that every planner and seed gets the same goals.
     Where the hand holds a door, goals have the door where the hand takes it, and an arm posture like the
-    start's: most other postures can only be reached by letting go.
+    start's: most other postures can only be reached by letting go. Goals off the manifold are left out, unless
+    all are: `check_problem` then says by how much.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0
@@ -122,4 +124,6 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
     held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
     near = problem.start if held else None
     goals = sample_region(problem.robot, problem.goal_region, checker, rng, MAX_GOALS, within=held, near=near)
-    return problem.with_goals(goals.configurations), time.perf_counter() - began
+    found = goals.configurations
+    kept = found[np.linalg.norm(problem.manifold.residual(found), axis=1) <= TOLERANCE]
+    return problem.with_goals(kept if len(kept) else found), time.perf_counter() - began

@@ -255,9 +255,9 @@ def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem,
         == 0
     )
     lines = capsys.readouterr().out.splitlines()
-    heads = ["problem", "planner", "status", "time", "counts", "length", "certificate", "path"]
+    heads = ["problem", "constraint", "planner", "status", "time", "counts", "length", "certificate", "path"]
     assert [line.split()[0] for line in lines] == heads
-    assert lines[2].split() == ["status", "solved"] and " valid " in lines[6]
+    assert lines[3].split() == ["status", "solved"] and " valid " in lines[7]
     assert out.read_text().splitlines()[0] == ",".join(problem.robot.joint_names)
     states = np.loadtxt(out, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(states[[0, -1]], [problem.start, problem.goals[0]])
@@ -271,7 +271,7 @@ def test_plan_without_success_exits_with_1(capsys):
 def test_exported_problems_are_planned_from_their_files(capsys, tmp_path):
     assert main(["problems", "export", "place-task", "--problems", "1", "--out", str(tmp_path)]) == 0
     (path,) = tmp_path.iterdir()
-    assert path.name == "place-task-000.json" and len(PlanningProblem.load(path).goals) > 0
+    assert path.name == "place-task-000.json" and PlanningProblem.load(path).goal_region is not None
     assert main(["plan", "--problem-file", str(path), "--iterations", "20000"]) == 0
 
 

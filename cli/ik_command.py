@@ -1,0 +1,92 @@
+"""`cvqmpt ik`: configurations for a pose or region, free of collision and on the manifold, for a problem file."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from cli.options import positive_int
+from cvqmpt_lab.codec import from_plain, located, mapping
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.documents import to_text
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import json_object, read_json_object
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+
+EXAMPLES = (
+    "cvqmpt ik --problem-file mine.json --pose '0.5 0.1 0.4 3.14 0 0'",
+    "cvqmpt ik --problem-file mine.json --region goal_region --count 20 --json",
+    """cvqmpt ik --problem-file mine.json --region '{"pose": {"at": {"xyz": [0.5, 0, 0.4]}, "yaw": 3.15}}'""",
+)
+POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Problem, where the end effector shall be, how many."""
+    parser.add_argument(
+        "--problem-file",
+        type=Path,
+        metavar="P.json",
+        required=True,
+        help="its robot, scene, constraint and attachments count; start and goals may still be missing",
+    )
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument(
+        "--pose", metavar="'X Y Z R P Y'", help="end-effector pose in the world: [m], roll, pitch, yaw [rad]"
+    )
+    where.add_argument(
+        "--region", help="a region as in a problem file, or goal_region or start_region for that of the file"
+    )
+    parser.add_argument("--count", type=positive_int, default=1, metavar="N", help="how many at most (1)")
+    parser.add_argument("--seed", type=positive_int, default=1, help="seed of all randomness (1)")
+    parser.add_argument("--json", action="store_true", help="print one json object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sample, print; exit code 1 when there is none."""
+    data = read_json_object(args.problem_file, "problem file")
+    region = _region(args, data)
+    with located(f"{args.problem_file}"):
+        robot = robot_from_source(mapping(data.get("robot"), "robot"))
+        middle = 0.5 * (robot.lower + robot.upper)  # stands for a start that may still be missing
+        given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}
+        problem = PlanningProblem.from_dict(given)
+    found = sample_region(
+        problem.robot,
+        region,
+        problem.collision_checker(SAMPLE_MARGIN),
+        np.random.default_rng(args.seed),
+        args.count,
+        max_poses=max(100, 10 * args.count),
+        within=problem.constraint,
+    )
+    configurations = found.configurations.tolist()
+    if args.json:
+        print(to_text({"joints": list(problem.robot.joint_names), "configurations": configurations}))
+    else:
+        print("\n".join(json.dumps(q) for q in configurations))
+        print(f"{len(configurations)} of {args.count} configurations; {found.outcome}")
+    return 0 if configurations else 1
+
+
+def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
+    """The region asked for."""
+    if args.pose is not None:
+        words = args.pose.replace(",", " ").split()
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(POSE):
+            raise InvalidInputError(f"--pose {args.pose!r}: write six numbers, {', '.join(POSE)} [m, rad]")
+        return from_plain(Region, {"pose": {"at": {"xyz": numbers[:3], "rpy": numbers[3:]}}}, "--pose")
+    if args.region in ("goal_region", "start_region"):
+        if args.region not in data:
+            raise InvalidInputError(f"{args.problem_file} has no {args.region!r}; write one after --region")
+        with located(f"{args.problem_file}"):
+            return from_plain(Region, data[args.region], args.region)
+    return from_plain(Region, json_object(args.region, "--region"), "--region")

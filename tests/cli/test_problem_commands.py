@@ -1,0 +1,105 @@
+"""`cvqmpt problems` and `cvqmpt ik`: files to start from, files of suites, configurations for them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from cvqmpt_lab.problem import PlanningProblem, check_problem
+
+
+def refused(capsys, *words):
+    assert main([str(word) for word in words]) == 2
+    line = capsys.readouterr().err
+    assert len(line.splitlines()) == 1
+    return line
+
+
+@pytest.fixture
+def mine(tmp_path, capsys):
+    """A problem that `problems new` wrote."""
+    path = tmp_path / "mine.json"
+    assert main(["problems", "new", str(path)]) == 0
+    assert f"cvqmpt plan --problem-file {path}" in capsys.readouterr().out
+    return path
+
+
+def test_a_new_problem_has_comments_and_is_planned_as_it_is(mine, capsys):
+    data = json.loads(mine.read_text())
+    assert all("_comment" in part for part in (data, data["constraint"], data["scene"]["objects"][0]))
+    assert main(["plan", "--problem-file", str(mine), "--iterations", "20000"]) == 0
+    assert "robot panda" in capsys.readouterr().out
+
+
+def test_a_new_problem_takes_nobodys_place(mine, capsys):
+    assert "is there already" in refused(capsys, "problems", "new", mine)
+
+
+def test_options_of_another_action_are_refused(capsys, tmp_path):
+    assert "--robot goes with new" in refused(capsys, "problems", "list", "place-task", "--robot", "panda")
+    assert "--goals goes with export" in refused(capsys, "problems", "list", "place-task", "--goals")
+    assert "unknown action 'nwe'" in refused(capsys, "problems", "nwe", tmp_path / "mine.json")
+
+
+def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path):
+    words = ["problems", "export", "place-task", "--problems", "1"]
+    assert main([*words, "--out", str(tmp_path / "a")]) == 0
+    assert main([*words, "--goals", "--out", str(tmp_path / "b")]) == 0
+    without, with_goals = ((tmp_path / name / "place-task-000.json") for name in "ab")
+    data = json.loads(with_goals.read_text())
+    assert "goals" not in json.loads(without.read_text()) and len(data["goals"]) == 20
+    assert "goals are used as they are" in data["_comment"]
+    assert len(without.read_text().splitlines()) < 750  # 4 578 before
+    for path in (without, with_goals):
+        check_problem(PlanningProblem.load(path))
+
+
+def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, capsys):
+    words = [
+        "ik",
+        "--problem-file",
+        str(mine),
+        "--pose",
+        "-0.3, 0.5, 0.3, 3.14, 0, 0",
+        "--count",
+        "3",
+        "--json",
+    ]
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    problem = PlanningProblem.load(mine)
+    assert found["joints"] == list(problem.robot.joint_names) and len(found["configurations"]) == 3
+    for q in np.array(found["configurations"]):
+        np.testing.assert_allclose(problem.robot.pose(q)[:3, 3], (-0.3, 0.5, 0.3), atol=1e-5)
+        assert not problem.collision_checker().in_collision(q) and not problem.manifold.residual(q).any()
+
+
+def test_configurations_become_the_start_and_goals_of_a_file_that_has_none(mine, capsys):
+    data = json.loads(mine.read_text())
+    del data["start"]
+    mine.write_text(json.dumps(data))
+    words = ["ik", "--problem-file", str(mine), "--region", "goal_region", "--count", "2", "--json"]
+    assert main(words) == 0
+    start, goal = json.loads(capsys.readouterr().out)["configurations"]
+    del data["goal_region"]
+    check_problem(PlanningProblem.from_dict({**data, "start": start, "goals": [goal]}))
+
+
+def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
+    assert main(["ik", "--problem-file", str(mine), "--pose", "5 0 0 0 0 0"]) == 1
+    assert "0 of 1 configurations; of 100 poses, 100 without inverse kinematics" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--pose", "1 2 3"], "write six numbers, x, y, z, roll, pitch, yaw"),
+        (["--pose", "1 2 3 4 5 six"], "write six numbers"),
+        (["--region", "{"], "--region is not json"),
+        (["--region", '{"psoe": {}}'], "--region.psoe is unknown; did you mean 'pose'?"),
+        (["--region", "start_region"], "has no 'start_region'"),
+    ],
+)
+def test_a_wrong_pose_or_region_is_one_line(mine, capsys, words, message):
+    assert message in refused(capsys, "ik", "--problem-file", mine, *words)
