@@ -12,7 +12,7 @@ from cvqmpt_lab.documents import to_text
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.json_schema import FOLDER, schema_of
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.tasks.task import Task
 
 KINDS = {"problem": PlanningProblem, "task": Task}
@@ -99,6 +99,12 @@ def test_what_the_code_refuses_is_marked(mine, change):
     assert errors("problem", mine | change)
     with pytest.raises(CvqmptError):
         PlanningProblem.from_dict(mine | change)
+
+
+def test_the_example_of_the_readme_is_valid_and_can_be_planned(request):
+    text = (request.config.rootpath / "README.md").read_text().split("```json\n")[1].split("```")[0]
+    assert errors("problem", json.loads(text)) == []
+    check_problem(PlanningProblem.from_dict(json.loads(text)))
 
 
 if __name__ == "__main__":

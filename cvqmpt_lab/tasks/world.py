@@ -26,35 +26,38 @@ IN_HAND = 0.02  # [m] an object may be from where a grasp expects it
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A carried object: as it stood in the scene, where in the hand (4, 4), and what is checked of it."""
+    """A carried object."""
 
     item: SceneObject
+    """As it stood in the scene."""
     T_hand_object: np.ndarray
+    """(4, 4), where it is in the hand [m]."""
     attachment: Attachment
+    """What is checked of it."""
 
 
 @dataclass(frozen=True)
 class HeldDoor:
-    """A door or drawer in the hand, and what may touch it."""
+    """A door or drawer in the hand."""
 
     name: str
+    """Of the scene's articulation."""
     may_touch: tuple[tuple[str, str], ...]
+    """(Robot piece, part of the door) pairs that touch."""
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One moment of a task.
-
-    Attributes
-    ----------
-    source: of the arm's robot, with the gripper as it is now. scene: without what is carried, doors at their values.
-    q: (n,), the arm [rad or m].
-    """
+    """One moment of a task."""
 
     source: Mapping[str, Any]
+    """Of the arm's robot, with the gripper as it is now."""
     scene: Scene
+    """Without what is carried, doors at their values."""
     q: np.ndarray
+    """(n,), the arm [rad or m]."""
     held: Load | HeldDoor | None = None
+    """What the hand holds."""
 
     @staticmethod
     def before(task: Task) -> "World":
