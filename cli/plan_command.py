@@ -2,7 +2,6 @@
 
 import argparse
 import logging
-import math
 import sys
 from functools import partial
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from cli.options import add_budget, add_model, budget, writable_file
 from cli.plan_report import as_json, report
 from cli.plan_task import run_task
+from cli.robot_options import add_robot, robot_source
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
@@ -31,6 +31,7 @@ EXAMPLES = (
     "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
     "cvqmpt plan --task-file task.json --planner guided-birrt",
     "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
+    "cvqmpt plan --problem-file mine.json --robot ur5",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 
@@ -46,22 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="T.json",
         help="a task of several phases instead, planned phase by phase",
     )
-    robot = parser.add_argument_group("another robot for the problem of --problem-file")
-    robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="a serial arm of hinges and sliders")
-    robot.add_argument("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
-    robot.add_argument("--srdf", type=Path, metavar="ARM.srdf", help="file with link pairs not to check")
-    robot.add_argument(
-        "--lock",
-        action="append",
-        default=[],
-        metavar="JOINT=VALUE",
-        help="fix a joint [rad or m]; repeatable",
-    )
-    robot.add_argument(
-        "--acceleration",
-        metavar="A[,A...]",
-        help="its joints' acceleration limits, one each or one for all [rad/s^2]; --trajectory needs them",
-    )
+    add_robot(parser, "another robot for the problem of --problem-file")
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     add_model(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
@@ -123,52 +109,14 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}) or give --problem-file or --task-file, one of the three"
         )
-    robot = _robot_source(args)
+    robot = robot_source(args)
     if args.problem_file is not None:
         return PlanningProblem.load(args.problem_file, robot=robot)
     if robot:
-        raise InvalidInputError("--urdf goes with --problem-file: other problems are for their own robot")
+        raise InvalidInputError(
+            "--robot and --urdf go with --problem-file: other problems are for their own robot"
+        )
     return Task.load(args.task_file) if args.task_file else suite_named(args.suite).solvable(args.problem)
-
-
-def _robot_source(args: argparse.Namespace) -> dict | None:
-    """What a problem file would say of the robot of --urdf; None without one."""
-    if args.urdf is None:
-        if args.end_effector or args.srdf or args.lock or args.acceleration:
-            raise InvalidInputError(
-                "--end-effector, --srdf, --lock and --acceleration describe the robot of --urdf; give it"
-            )
-        return None
-    if args.end_effector is None:
-        raise InvalidInputError("--urdf needs --end-effector FRAME, a frame of that URDF")
-    return {
-        "urdf": str(args.urdf),
-        "end_effector": args.end_effector,
-        "srdf": str(args.srdf) if args.srdf else None,
-        "locked": dict(_locked_joint(text) for text in args.lock),
-        **({} if args.acceleration is None else {"acceleration_limits": _accelerations(args.acceleration)}),
-    }
-
-
-def _locked_joint(text: str) -> tuple[str, float]:
-    """The joint and value of one --lock."""
-    joint, _, value = text.rpartition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not joint or not math.isfinite(number):
-        raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
-    return joint, number
-
-
-def _accelerations(text: str) -> float | list[float]:
-    """The number or numbers of --acceleration."""
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError as error:
-        raise InvalidInputError(f"--acceleration {text!r}: write numbers separated by commas") from error
-    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:

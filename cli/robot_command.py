@@ -1,0 +1,155 @@
+"""`cvqmpt robot`: what was understood of a robot's description."""
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cli.options import writable_file
+from cli.robot_options import add_robot_options, robot_options
+from cvqmpt_lab.files import write_text
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.named import ARMS
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.srdf import srdf_text
+from cvqmpt_lab.robot.urdf import read_urdf
+from cvqmpt_lab.scene.scene import Scene
+
+EXAMPLES = (
+    "cvqmpt robot",
+    "cvqmpt robot ur5 --picture ur5.png",
+    "cvqmpt robot arm.urdf --package-dir ~/ros/src --json",
+    "cvqmpt robot arm.urdf --end-effector tool --srdf-out arm.srdf",
+)
+TRIED = 200
+"""Random configurations, of which the share free of self-collision is told."""
+NAMES = 8
+"""Names listed of many; --json lists all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The robot, and what to write of it."""
+    parser.add_argument("robot", nargs="?", metavar="URDF_OR_NAME", help="none: the names are listed")
+    add_robot_options(parser)
+    parser.add_argument("--json", action="store_true", help="print everything as one json object")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw its collision pieces")
+    parser.add_argument(
+        "--srdf-out", type=Path, metavar="ARM.srdf", help="write the pairs of links that are not checked"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Load and tell."""
+    if args.robot is None:
+        print(
+            "\n".join(f"{name:16} {arm.urdf}, end effector {arm.end_effector}" for name, arm in ARMS.items())
+        )
+        return 0
+    for path in (args.picture, args.srdf_out):
+        if path is not None:
+            writable_file(path)
+    source, others = _source(args)
+    robot = robot_from_source(source)
+    said = describe(robot)
+    print(json.dumps(said, indent=1) if args.json else "\n".join(report(robot, said, others)))
+    if args.srdf_out:
+        write_text(args.srdf_out, srdf_text(robot.name, robot.left_out_pairs))
+    if args.picture:
+        _draw(robot, args.picture)
+    return 0
+
+
+def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
+    """What a problem file would say, and the end effectors to choose from where none was chosen."""
+    options = robot_options(args)
+    if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
+        return {"name": args.robot, **options}, []
+    likely = [] if "end_effector" in options else read_urdf(Path(args.robot)).likely_end_effectors
+    return {"urdf": args.robot, **({"end_effector": likely[0]} if likely else {}), **options}, likely
+
+
+def describe(robot: Robot) -> dict[str, Any]:
+    """What was understood, as plain json."""
+    velocity = np.array(robot.model.upperVelocityLimit)
+    states = robot.random_configurations(np.random.default_rng(0), TRIED)
+    collide = _alone(robot).collision_checker().in_collision_batch(states)
+    return {
+        "name": robot.name,
+        "source": robot.source,
+        "kinematics_digest": robot.kinematics_digest,
+        "end_effector": robot.end_effector,
+        "reach_m": robot.reach,
+        "joints": [
+            {
+                "name": name,
+                "kind": "prismatic" if robot.kinematics.prismatic[j] else "revolute",
+                "lower": float(robot.lower[j]),
+                "upper": float(robot.upper[j]),
+                "velocity": float(velocity[j]) if np.isfinite(velocity[j]) else None,
+            }
+            for j, name in enumerate(robot.joint_names)
+        ],
+        "held_joints": [{"name": j.name, "value": j.value, "reason": j.reason} for j in robot.held_joints],
+        "frames": list(robot.frame_names),
+        "collision_pieces": [{"name": p.name, "corners": len(p.vertices)} for p in robot.links],
+        "self_collision_pairs": [
+            [robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs
+        ],
+        "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
+        "share_free_of_self_collision": float(1.0 - collide.mean()),
+    }
+
+
+def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[str]:
+    """The lines a person reads."""
+    yield f"robot        {robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest {robot.kinematics_digest}"
+    chosen = f" (a guess of {', '.join(others)}: --end-effector names another)" if others else ""
+    yield f"end effector {robot.end_effector}{chosen}"
+    for joint in said["joints"]:
+        unit = "m" if joint["kind"] == "prismatic" else "rad"
+        fast = f", at most {joint['velocity']:.2f} {unit}/s" if joint["velocity"] else ", no velocity limit"
+        limits = f"{joint['lower']:.3f} to {joint['upper']:.3f} {unit}"
+        yield f"joint        {joint['name']}: {joint['kind']}, {limits}{fast}"
+    for reason, count in Counter(joint.reason for joint in robot.held_joints).items():
+        names = [f"{j.name}={j.value:g}" for j in robot.held_joints if j.reason == reason]
+        yield f"held         {count} {reason}: {_few(names)}"
+    yield f"frames       {len(said['frames'])}: {_few(said['frames'])}"
+    yield f"pieces       {len(robot.links)}: {_few([piece.name for piece in robot.links])}"
+    if not robot.links:
+        yield "             none: nothing of it can collide; give its links <collision> in the URDF"
+    reasons = Counter(pair.reason for pair in robot.left_out_pairs)
+    left = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
+    yield f"pairs        {len(robot.self_collision_pairs)} of pieces are checked; left out, of links: {left}"
+    for pair in robot.left_out_pairs:
+        if pair.reason == "Always":
+            yield f"             {pair.first} and {pair.second} overlap whatever the joints: not checked"
+    free = 100.0 * said["share_free_of_self_collision"]
+    yield f"free         {free:.0f} % of random configurations do not collide with themselves"
+    if robot.acceleration_limits is None:
+        yield "timing       no acceleration limits: --trajectory needs --acceleration"
+
+
+def _few(names: list[str]) -> str:
+    more = f", ... (--json lists {len(names)})" if len(names) > NAMES else ""
+    return ", ".join(names[:NAMES]) + more
+
+
+def _alone(robot: Robot) -> PlanningProblem:
+    """The robot in an empty scene, its joints as near to 0 as their limits let them."""
+    rest = np.clip(0.0, robot.lower, robot.upper)
+    return PlanningProblem(robot.name, robot, Scene("nothing", ()), rest, rest[None])
+
+
+def _draw(robot: Robot, path: Path) -> None:
+    from cvqmpt_lab.show.framing import clear_viewpoint
+    from cvqmpt_lab.show.meshes import ROBOT_COLOUR, joined, robot_meshes
+    from cvqmpt_lab.show.still import still_image, write_png
+
+    problem, size = _alone(robot), (900, 700)
+    seen = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+    write_png(path, still_image(problem, problem.start, size, clear_viewpoint([seen], [], size)))
