@@ -1,0 +1,1 @@
+"""Clouds and meshes that scenes name by path."""

@@ -1,0 +1,204 @@
+"""A triangle mesh as a union of convex pieces that holds all of its surface.
+
+The mesh is cut by planes along its axes. A piece is the convex hull of what lies between the cuts, so the union holds
+the surface wherever the cuts are; what is too much of it is hull that is not solid. The piece with most of that is
+cut next, where its halves' hulls are smallest, through what is not solid. How much is solid is measured on a grid.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import product
+
+import numpy as np
+import trimesh
+from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
+
+from cvqmpt_lab.forms import FloatArray
+from cvqmpt_lab.scene.extent import check_volume
+from cvqmpt_lab.scene.files.hulls import hull_of, of_few_vertices, spread_points
+
+MOST_PIECES = 48
+ENOUGH = 0.02  # share of the mesh's own hull that the pieces together may hold too much
+CELLS = 56  # of the grid along the mesh's longest side
+SAMPLES_PER_CELL = 20  # of the surface in a cell that it crosses
+SKETCH = 600  # triangles by which cuts are compared
+EVEN_CUTS, FACE_CUTS = 3, 4  # along each axis: evenly spread, and beside the largest faces across it
+NUDGE = 1e-4  # of a piece's length, between a face and the cut beside it
+THROUGH_VOID = 0.05  # weight of what a cut opens, among cuts that make hulls equally small
+ACROSS = 0.99  # cosine between an axis and the normal of a face across it
+
+
+class Solid:
+    """Which cells of a grid a mesh fills."""
+
+    def __init__(self, triangles: FloatArray) -> None:
+        points = triangles.reshape(-1, 3)
+        self._low, extent = points.min(axis=0), np.ptp(points, axis=0)
+        self._cell = float(extent.max()) / CELLS
+        cells = np.ceil(extent / self._cell).astype(int) + 1
+        area = float(trimesh.triangles.area(triangles).sum())
+        surface = np.zeros(cells, dtype=bool)
+        samples = spread_points(triangles, int(SAMPLES_PER_CELL * area / self._cell**2) + 1)
+        surface[tuple(self._cells_of(samples, cells).T)] = True
+        filled = ndimage.binary_fill_holes(surface)
+        self._inside = filled & ~surface
+        self._share = filled - 0.5 * surface
+
+    def volume(self, low: FloatArray, high: FloatArray) -> float:
+        """Solid volume [m^3] between two corners (3,), about."""
+        first, last = (np.round((corner - self._low) / self._cell).astype(int) for corner in (low, high))
+        part = self._share[tuple(slice(max(a, 0), max(b, 0)) for a, b in zip(first, last, strict=True))]
+        return float(part.sum()) * self._cell**3
+
+    def void_profiles(
+        self, hull: FloatArray, low: FloatArray, high: FloatArray
+    ) -> list[Callable[[float], float]]:
+        """For each axis, a function from a coordinate to the area [m^2] there of a hull but not of the solid."""
+        first, last = self._cells_of(np.array([low, high]), self._share.shape)
+        grids = np.indices(last - first + 1).reshape(3, -1).T + first
+        equations = ConvexHull(hull).equations
+        centres = self._low + (grids + 0.5) * self._cell
+        held = ((centres @ equations[:, :3].T + equations[:, 3]) < 0.0).all(axis=1)
+        void = (held & (self._share[tuple(grids.T)] == 0.0)).reshape(last - first + 1)
+        areas = [self._cell**2 * void.sum(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
+        return [partial(self._at, axis, int(first[axis]), area) for axis, area in enumerate(areas)]
+
+    def _at(self, axis: int, first: int, profile: np.ndarray, at: float) -> float:
+        """The entry of a profile, which begins at cell `first` of an axis, at a coordinate [m]."""
+        cell = int((at - self._low[axis]) / self._cell) - first
+        return float(profile[min(max(cell, 0), len(profile) - 1)])
+
+    def holds(self, points: FloatArray) -> np.ndarray:
+        """Whether points (k, 3) are well inside."""
+        return self._inside[tuple(self._cells_of(points, self._inside.shape).T)]
+
+    def _cells_of(self, points: FloatArray, shape: np.ndarray | tuple[int, ...]) -> np.ndarray:
+        """Indices (k, 3) of the cells with points (k, 3)."""
+        return np.clip(((points - self._low) / self._cell).astype(int), 0, np.array(shape) - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What of a mesh lies between cuts."""
+
+    triangles: FloatArray
+    """(f, 3, 3) [m]."""
+    low: FloatArray
+    """(3,), of the space between the cuts [m]."""
+    high: FloatArray
+    """(3,) [m]."""
+    solid: Solid
+    """The whole mesh."""
+
+    @cached_property
+    def hull(self) -> FloatArray:
+        """Vertices (k, 3) of its hull, the solid corners of the space included [m]."""
+        corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
+        return hull_of(np.concatenate([self.triangles.reshape(-1, 3), corners[self.solid.holds(corners)]]))
+
+    @cached_property
+    def excess(self) -> float:
+        """How much of its hull is not solid [m^3]."""
+        return max(0.0, _volume(self.hull) - self.solid.volume(self.low, self.high))
+
+    def halves(self) -> "list[Part]":
+        """The two parts on the sides of the best cut; itself where no cut leaves something on both."""
+        sketch, whole = self._sketch(), max(_volume(self.hull), 1e-30)
+        profiles = self.solid.void_profiles(self.hull, self.low, self.high)
+        best, axis, at = np.inf, 0, 0.0
+        for axis_now, at_now in self._cuts():
+            sides = _sides(sketch, axis_now, at_now)
+            void = profiles[axis_now](at_now) * (self.high - self.low)[axis_now]
+            cost = (sum(map(_volume, sides)) - THROUGH_VOID * void) / whole
+            if min(map(len, sides)) > 0 and cost < best:
+                best, axis, at = cost, axis_now, at_now
+        if not np.isfinite(best):
+            return [self]
+        parts = []
+        for sign in (-1.0, 1.0):
+            low, high = self.low.copy(), self.high.copy()
+            (high if sign < 0.0 else low)[axis] = at
+            parts.append(Part(_clipped(self.triangles, axis, at, sign), low, high, self.solid))
+        return parts if all(len(part.triangles) for part in parts) else [self]
+
+    def _sketch(self) -> FloatArray:
+        """Some triangles (f, 3, 3): the largest, and some of the others."""
+        order = np.argsort(-trimesh.triangles.area(self.triangles))
+        rest = order[SKETCH // 2 :]
+        return self.triangles[np.r_[order[: SKETCH // 2], rest[:: max(1, 2 * len(rest) // SKETCH)]]]
+
+    def _cuts(self) -> Iterator[tuple[int, float]]:
+        """Places worth cutting at: (axis, coordinate)."""
+        points = self.triangles.reshape(-1, 3)
+        low, length = points.min(axis=0), np.ptp(points, axis=0)
+        twice = np.cross(
+            self.triangles[:, 1] - self.triangles[:, 0], self.triangles[:, 2] - self.triangles[:, 0]
+        )
+        area = np.linalg.norm(twice, axis=1)
+        for axis in np.flatnonzero(length > 4.0 * NUDGE * length.max()):
+            faces = np.abs(twice[:, axis]) > ACROSS * area
+            at, which = np.unique(np.round(self.triangles[faces, 0, axis], 6), return_inverse=True)
+            largest = at[np.argsort(-np.bincount(which, area[faces], len(at)))[:FACE_CUTS]]
+            beside = [face + side * NUDGE * length[axis] for face in largest for side in (-1.0, 1.0)]
+            evenly = low[axis] + length[axis] * np.arange(1, EVEN_CUTS + 1) / (EVEN_CUTS + 1)
+            yield from ((int(axis), float(cut)) for cut in (*beside, *evenly))
+
+
+def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
+    """Cut a mesh into convex pieces.
+
+    Parameters
+    ----------
+    triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m].
+
+    Returns
+    -------
+    Vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle [m].
+
+    Raises
+    ------
+    InvalidInputError: the mesh as a whole spans no volume, see `check_volume`.
+    """
+    points = triangles.reshape(-1, 3)
+    check_volume(points, "the corners of the mesh")
+    whole = Part(triangles, points.min(axis=0), points.max(axis=0), Solid(triangles))
+    enough = ENOUGH * _volume(whole.hull)
+    parts, final = [whole], []  # final: those that cannot be cut
+    while parts and len(parts) + len(final) < MOST_PIECES and sum(part.excess for part in parts) > enough:
+        worst = max(parts, key=lambda part: part.excess)
+        parts.remove(worst)
+        halves = worst.halves()
+        (parts if len(halves) > 1 else final).extend(halves)
+    return tuple(of_few_vertices(part.hull) for part in (*parts, *final))
+
+
+def _clipped(triangles: FloatArray, axis: int, at: float, sign: float) -> FloatArray:
+    """Triangles (g, 3, 3) of what lies on one side of a plane across an axis."""
+    normal, origin = np.zeros(3), np.zeros(3)
+    normal[axis], origin[axis] = sign, at
+    faces = np.arange(3 * len(triangles)).reshape(-1, 3)
+    vertices, faces, *_ = trimesh.intersections.slice_faces_plane(
+        triangles.reshape(-1, 3), faces, normal, origin
+    )
+    return np.asarray(vertices)[np.asarray(faces, dtype=int)].reshape(-1, 3, 3)
+
+
+def _sides(triangles: FloatArray, axis: int, at: float) -> tuple[FloatArray, FloatArray]:
+    """Points (k, 3) whose hulls are those of the two sides of triangles (f, 3, 3)."""
+    ends = np.roll(triangles, -1, axis=1)
+    before, after = triangles[..., axis] - at, ends[..., axis] - at
+    crossed = (before < 0.0) != (after < 0.0)
+    share = before[crossed] / (before[crossed] - after[crossed])
+    between = triangles[crossed] + share[:, None] * (ends - triangles)[crossed]
+    low = triangles[before < 0.0], between
+    return np.concatenate(low), np.concatenate([triangles[before >= 0.0], between])
+
+
+def _volume(points: FloatArray) -> float:
+    """Of the hull of points (k, 3) [m^3]; 0 for flat ones."""
+    try:
+        return float(ConvexHull(points).volume) if len(points) > 3 else 0.0
+    except QhullError:
+        return 0.0
