@@ -14,6 +14,7 @@ from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
+from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Path as JointPath
@@ -50,6 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot(parser, "another robot for the problem of --problem-file")
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     add_model(parser)
+    parser.add_argument(
+        "--cloud",
+        type=Path,
+        metavar="SCAN.pcd|ply|npy|xyz",
+        help="what a planner with a network is shown [m, robot base frame]; obstacles are those of the scene",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
     parser.add_argument("--json", action="store_true", help="print one json object instead of the report")
     parser.add_argument(
@@ -83,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     problem = _asked(args)
     if isinstance(problem, Task):
         return run_task(args, problem)
-    method = planner_named(args.planner, args.model)
+    method = _method(args)
     _check_timing(args, problem)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     if args.verbose:
@@ -100,6 +107,20 @@ def run(args: argparse.Namespace) -> int:
     for line in show_solution(args, solution, carried):
         say(line)
     return 0 if solution.solved else 1
+
+
+def _method(args: argparse.Namespace) -> Method:
+    """The planner of the command line, shown the cloud that was given for it."""
+    method = planner_named(args.planner, args.model)
+    if args.cloud is None:
+        return method
+    from cvqmpt_lab.methods.observation import shown
+    from cvqmpt_lab.scene.files.clouds import read_cloud
+
+    cloud = read_cloud(args.cloud)
+    dropped = f", {cloud.dropped} left out that were not finite" if cloud.dropped else ""
+    print(f"cloud {args.cloud}: {len(cloud.points)} points{dropped}", file=sys.stderr)
+    return shown(method, cloud.points)
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:

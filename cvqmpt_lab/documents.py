@@ -39,10 +39,14 @@ class Document(Checked):
     def load(cls, path: Path | str, **changes: Any) -> Self:
         """Read a file; errors name the file and the field. changes: fields to replace before, unless None."""
         data = read_json_object(Path(path))
+        data |= {name: value for name, value in changes.items() if value is not None}
         with located(f"{path}"):
-            return cls.from_dict(
-                {**data, **{name: value for name, value in changes.items() if value is not None}}
-            )
+            return cls.from_dict(cls.with_named_files(data, Path(path).parent))
+
+    @classmethod
+    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Json with what it names by path put in its place; folder: of the file it stands in."""
+        return data
 
 
 def to_text(plain: Any, indent: int = 0) -> str:

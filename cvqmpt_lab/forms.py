@@ -1,7 +1,7 @@
 """How names, lengths, arrays and unions stand in json."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from types import GenericAlias
 from typing import Annotated, Any, TypeAlias
@@ -86,6 +86,8 @@ class Tagged:
 
     key: str
     choices: Mapping[str, type]
+    by_path: Mapping[str, type] = field(default_factory=dict)
+    """What may stand in a file instead, and is replaced when the file is read."""
 
     def read(self, value: Any, where: str) -> Any:
         """Make the dataclass that the name chooses."""
@@ -97,8 +99,12 @@ class Tagged:
         if self.key not in fields:
             raise InvalidInputError(f"{at(where, self.key)} is missing; one of {', '.join(self.choices)}")
         name = fields.pop(self.key)
+        if isinstance(name, str) and name in self.by_path:
+            raise InvalidInputError(
+                f"{at(where, self.key)} {name!r} names a file: load what names it from a file too"
+            )
         if not isinstance(name, str) or name not in self.choices:
-            raise UnknownChoiceError(at(where, self.key), name, self.choices)
+            raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
         return from_plain(self.choices[name], fields, where)
 
     def write(self, value: Any) -> dict[str, Any]:
@@ -109,7 +115,7 @@ class Tagged:
     def schema(self, of: Schema) -> dict[str, Any]:
         """One object for each choice."""
         choices = []
-        for name, kind in self.choices.items():
+        for name, kind in (*self.choices.items(), *self.by_path.items()):
             plain = of(kind)
             properties = {self.key: {"const": name}, **plain["properties"]}
             choices.append({**plain, "properties": properties, "required": [self.key, *plain["required"]]})

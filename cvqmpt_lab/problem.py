@@ -23,6 +23,7 @@ are drawn from the goal region only when none is given.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -40,6 +41,7 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.files.by_path import with_files_read
 from cvqmpt_lab.scene.scene import Scene
 
 CONTRADICTION = 1e-3  # [m, rad] that a given goal may lie outside the goal region
@@ -113,6 +115,11 @@ class PlanningProblem(Document):
         if len(self.goals) == 0:
             object.__setattr__(self, "goals", np.empty((0, self.robot.dof)))
         self._check_configurations()
+
+    @classmethod
+    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Json with the clouds and meshes of its scene."""
+        return with_files_read(data, folder)
 
     def _check_regions(self) -> None:
         unique((item.name for item in self.attachments), f"attachments of problem {self.name!r}")

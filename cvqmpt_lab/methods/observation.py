@@ -1,20 +1,26 @@
 """The point cloud that a planner with a network is given of a problem."""
 
 from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud, thinned, visible_points
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud
 
 
 class Observer:
-    """Virtual cameras that look at a problem's scene; the same scene gives the same cloud.
+    """Gives the cloud of a problem's scene; the same scene gives the same cloud.
 
-    Casting rays takes a second, a camera's cloud nothing: planners look before their clock starts, and scenes
-    seen lately are remembered.
+    Virtual cameras look at a scene made of shapes. Of a scene that holds clouds these are used, with what the cameras
+    see of its other shapes. Casting rays takes a second, a camera's cloud nothing: planners look before their clock
+    starts, and scenes seen lately are remembered.
     """
 
     def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
@@ -31,9 +37,64 @@ class Observer:
         if scene in self._clouds:
             self._clouds.move_to_end(scene)
         else:
-            cloud = camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
-            cloud.setflags(write=False)
-            self._clouds[scene] = cloud
+            self._clouds[scene] = self._look(scene)
             if len(self._clouds) > self._kept:
                 self._clouds.popitem(last=False)
         return self._clouds[scene]
+
+    def of_points(self, points: np.ndarray) -> np.ndarray:
+        """The cloud (m, 3) that networks are given of measured points (p, 3) [m, robot base frame].
+
+        Raises
+        ------
+        InvalidInputError
+            When none of the points is where training clouds are.
+        """
+        crop = self.settings.crop
+        near = points[crop.contains(points)]
+        if len(near) == 0:
+            raise InvalidInputError(
+                f"none of the cloud's {len(points)} points is in the region that networks know, {crop}: give it in "
+                "metres, in the frame of the robot's base"
+            )
+        measured = replace(self.settings, noise=0.0)  # it has its own
+        cloud = thinned(near, measured, np.random.default_rng(self.seed))
+        cloud.setflags(write=False)
+        return cloud
+
+    def _look(self, scene: Scene) -> np.ndarray:
+        clouds = [item for item in scene.objects if isinstance(item.shape, PointCloud)]
+        if clouds:
+            rest = visible_points(scene.without(*(item.name for item in clouds)), self.settings)
+            return self.of_points(np.concatenate([_world_points(clouds), rest]))
+        cloud = camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
+        cloud.setflags(write=False)
+        return cloud
+
+
+def shown(method: Method, points: np.ndarray) -> Method:
+    """A method that is given measured points (p, 3) [m, robot base frame] instead of looking at the scene.
+
+    Raises
+    ------
+    InvalidInputError
+        Also when its stages are asked for, if it does not look at anything.
+    """
+
+    def build(robot: Robot, weights: Weights | None) -> Stages:
+        stages = method.build(robot, weights)
+        if not isinstance(stages.observe, Observer):
+            raise InvalidInputError(f"{method.name} does not look at a cloud: leave the cloud out")
+        cloud = stages.observe.of_points(points)
+        return replace(stages, observe=lambda _: cloud)
+
+    return replace(method, build=build)
+
+
+def _world_points(clouds: Sequence[SceneObject]) -> np.ndarray:
+    """Points (p, 3) [m] of objects that are clouds, in the world."""
+    parts = []
+    for item in clouds:
+        assert isinstance(item.shape, PointCloud)
+        parts.append(item.shape.points @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3])
+    return np.concatenate(parts)

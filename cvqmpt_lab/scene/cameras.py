@@ -165,7 +165,11 @@ def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generato
     InvalidInputError
         If the scene has an object that is a point cloud already.
     """
-    points = visible_points(scene, settings)
+    return thinned(visible_points(scene, settings), settings, rng)
+
+
+def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
+    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise (m, 3)."""
     if settings.voxel is not None:
         points = voxel_means(points, settings.voxel)
     points = points[rng.permutation(len(points))]

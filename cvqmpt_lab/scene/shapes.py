@@ -13,6 +13,8 @@ import numpy as np
 from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.forms import Array, FloatArray, Length, Tagged
+from cvqmpt_lab.scene.extent import check_volume
+from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]")]
 
@@ -52,11 +54,7 @@ class ConvexMesh(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n = len(self.vertices)
-        if n < 4 or np.linalg.matrix_rank(self.vertices - self.vertices.mean(axis=0)) < 3:
-            raise InvalidInputError(
-                f"vertices must span a volume: give 4 or more points that are not in one plane, got {n} points"
-            )
+        check_volume(self.vertices, "vertices")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,9 @@ SHAPES = {
 }
 """Shapes by the "type" that json calls them."""
 
-Shape: TypeAlias = Annotated[Box | Cylinder | Sphere | ConvexMesh | PointCloud, Tagged("type", SHAPES)]
+Shape: TypeAlias = Annotated[
+    Box | Cylinder | Sphere | ConvexMesh | PointCloud, Tagged("type", SHAPES, SHAPES_BY_PATH)
+]
 
 
 def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:

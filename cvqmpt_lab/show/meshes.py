@@ -1,5 +1,6 @@
 """What pictures and recordings show, as coloured triangles: shapes, scenes, the robot, curves."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -7,7 +8,6 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.robot.robot import Robot
@@ -31,7 +31,7 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "mustard": (0.93, 0.78, 0.22),
     "can": (0.86, 0.24, 0.20),
 }
-"""Colour of the scene objects whose name contains a word; the first that fits counts."""
+"""Colour of the scene objects in whose name a word begins so; the first that fits counts."""
 OTHER_COLOUR: Colour = (0.87, 0.77, 0.62)
 ROBOT_COLOUR: Colour = (0.90, 0.90, 0.92)
 GHOST_COLOUR: Colour = (0.25, 0.50, 0.90)
@@ -39,6 +39,7 @@ GOAL_COLOUR: Colour = (0.16, 0.68, 0.38)
 LOAD_COLOUR: Colour = (0.86, 0.24, 0.20)
 TRACE_COLOUR: Colour = (0.96, 0.55, 0.05)
 BEAD_RADIUS, BEAD_SPACING = 0.008, 0.012  # [m] of the hand's trace
+CLOUD_BALLS = 4000  # of a cloud that are drawn; of a larger one some, larger
 SMOOTH = np.cos(0.7)  # facets of a hull that meet at less than 0.7 rad are shaded as one curved surface
 
 
@@ -65,7 +66,11 @@ class Mesh:
 
 def colour_of(name: str) -> Colour:
     """Colour of a scene object, by the kind its name tells."""
-    return next((colour for word, colour in KIND_COLOURS.items() if word in name), OTHER_COLOUR)
+    words = re.split("[^a-z]+", name.lower())
+    kinds = KIND_COLOURS.items()
+    return next(
+        (colour for kind, colour in kinds if any(word.startswith(kind) for word in words)), OTHER_COLOUR
+    )
 
 
 def is_ground(item: SceneObject) -> bool:
@@ -104,8 +109,8 @@ def shape_mesh(shape: Shape) -> Mesh:
         case Sphere(radius):
             return hull_mesh(radius * _sphere_points(200))
         case PointCloud(points, radius):
-            ball = hull_mesh(radius * _sphere_points(12))
-            return joined([ball.placed(pose(point), OTHER_COLOUR) for point in points])
+            every = -(-len(points) // CLOUD_BALLS)
+            return _balls(points[::every], radius * np.sqrt(every), sphere_points=12)
         case Box() | ConvexMesh():
             return hull_mesh(shape_vertices(shape))
 
@@ -157,8 +162,15 @@ def beads(points: np.ndarray, colour: Colour) -> Mesh:
     travelled = travelled_along(points)
     at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / BEAD_SPACING))
     centres = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
-    ball = hull_mesh(BEAD_RADIUS * _sphere_points(24))
-    return joined([ball.placed(pose(centre), colour) for centre in centres])
+    return _balls(centres, BEAD_RADIUS, sphere_points=24).placed(np.eye(4), colour)
+
+
+def _balls(centres: np.ndarray, radius: float, sphere_points: int) -> Mesh:
+    """One mesh of balls around centres (m, 3) [m]."""
+    ball = hull_mesh(radius * _sphere_points(sphere_points))
+    corners = (centres[:, None, None] + ball.corners).reshape(-1, 3, 3)
+    normals = np.tile(ball.normals, (len(centres), 1, 1))
+    return Mesh(corners, normals, np.ones((len(corners), 3)), np.zeros(len(corners), dtype=int))
 
 
 def travelled_along(points: np.ndarray) -> np.ndarray:

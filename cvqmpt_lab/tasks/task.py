@@ -13,6 +13,7 @@ as json, schema ``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from cvqmpt_lab.codec import located, unique
@@ -20,6 +21,7 @@ from cvqmpt_lab.documents import Document
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.forms import Array, FloatArray, Name
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.files.by_path import with_files_read
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Turn
 
@@ -63,6 +65,11 @@ class Task(Document):
             with located(f"task {self.name!r}, phase {number} {phase.name!r}"):
                 _check_hand(phase, held)
                 scene, held = _after(phase, scene, held)
+
+    @classmethod
+    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Json with the clouds and meshes of its scene."""
+        return with_files_read(data, folder)
 
 
 def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:

@@ -31,7 +31,7 @@ ACROSS = 0.99  # cosine between an axis and the normal of a face across it
 
 
 class Solid:
-    """Which cells of a grid a mesh fills."""
+    """Which cells of a grid a mesh fills; the centres of the outermost ones are where it ends."""
 
     def __init__(self, triangles: FloatArray) -> None:
         points = triangles.reshape(-1, 3)
@@ -44,12 +44,24 @@ class Solid:
         surface[tuple(self._cells_of(samples, cells).T)] = True
         filled = ndimage.binary_fill_holes(surface)
         self._inside = filled & ~surface
-        self._share = filled - 0.5 * surface
+        self._share = (filled - 0.5 * surface) * self._correction(
+            triangles, filled.sum() - 0.5 * surface.sum()
+        )
+
+    def _correction(self, triangles: FloatArray, cells: float) -> float:
+        """By how much a closed mesh's volume differs from that of its cells; 1 for open ones."""
+        mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+        return (
+            float(np.clip(abs(mesh.volume) / (cells * self._cell**3), 0.5, 1.5))
+            if mesh.is_watertight
+            else 1.0
+        )
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
         """Solid volume [m^3] between two corners (3,), about."""
-        first, last = (np.round((corner - self._low) / self._cell).astype(int) for corner in (low, high))
-        part = self._share[tuple(slice(max(a, 0), max(b, 0)) for a, b in zip(first, last, strict=True))]
+        first, last = self._cells_of(np.array([low, high]), self._share.shape)
+        last = np.where(last == np.array(self._share.shape) - 1, last + 1, last)  # the outermost cells
+        part = self._share[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
         return float(part.sum()) * self._cell**3
 
     def void_profiles(
@@ -59,7 +71,7 @@ class Solid:
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         grids = np.indices(last - first + 1).reshape(3, -1).T + first
         equations = ConvexHull(hull).equations
-        centres = self._low + (grids + 0.5) * self._cell
+        centres = self._low + grids * self._cell
         held = ((centres @ equations[:, :3].T + equations[:, 3]) < 0.0).all(axis=1)
         void = (held & (self._share[tuple(grids.T)] == 0.0)).reshape(last - first + 1)
         areas = [self._cell**2 * void.sum(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
@@ -67,7 +79,7 @@ class Solid:
 
     def _at(self, axis: int, first: int, profile: np.ndarray, at: float) -> float:
         """The entry of a profile, which begins at cell `first` of an axis, at a coordinate [m]."""
-        cell = int((at - self._low[axis]) / self._cell) - first
+        cell = round((at - self._low[axis]) / self._cell) - first
         return float(profile[min(max(cell, 0), len(profile) - 1)])
 
     def holds(self, points: FloatArray) -> np.ndarray:
@@ -76,7 +88,7 @@ class Solid:
 
     def _cells_of(self, points: FloatArray, shape: np.ndarray | tuple[int, ...]) -> np.ndarray:
         """Indices (k, 3) of the cells with points (k, 3)."""
-        return np.clip(((points - self._low) / self._cell).astype(int), 0, np.array(shape) - 1)
+        return np.clip(np.round((points - self._low) / self._cell).astype(int), 0, np.array(shape) - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +177,7 @@ def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     check_volume(points, "the corners of the mesh")
     whole = Part(triangles, points.min(axis=0), points.max(axis=0), Solid(triangles))
     enough = ENOUGH * _volume(whole.hull)
-    parts, final = [whole], []  # final: those that cannot be cut
+    parts, final = [whole], list[Part]()  # final: those that cannot be cut
     while parts and len(parts) + len(final) < MOST_PIECES and sum(part.excess for part in parts) > enough:
         worst = max(parts, key=lambda part: part.excess)
         parts.remove(worst)

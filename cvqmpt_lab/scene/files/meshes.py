@@ -1,6 +1,7 @@
 """Meshes from files: STL, OBJ, DAE, as convex pieces that hold all of the surface."""
 
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import trimesh
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.scene.files.convex_pieces import convex_pieces
-from cvqmpt_lab.scene.files.reading import file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.files.reading import check_lengths, file_bytes, kind_of, parsing
 
 KINDS: Mapping[str, str] = {".stl": "stl", ".obj": "obj", ".dae": "dae"}
 """What the parser calls a file, by its suffix."""
 MOST_TRIANGLES = 200_000
+ROOM = 20.0  # [m] within which at least half of a mesh must lie
+ROOM = 20.0  # [m] within which at least half of a mesh must lie
 
 
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
@@ -22,7 +25,8 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
 
     Parameters
     ----------
-    scale: [m] of one unit of the file.
+    scale: [m] of one unit of the file. A DAE file states its unit, which is applied before; which
+        axis it calls up is not looked at, as for meshes of robots.
 
     Raises
     ------
@@ -32,6 +36,7 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     """
     path = Path(path)
     triangles = scale * read_triangles(path)
+    check_lengths(triangles.reshape(-1, 3), f"mesh {path}", ROOM)
     with parsing(path, "mesh"):
         return convex_pieces(triangles)
 
@@ -41,7 +46,7 @@ def read_triangles(path: Path) -> FloatArray:
     kind = KINDS[kind_of(path, KINDS, "mesh")]
     data = file_bytes(path, "mesh")
     with parsing(path, "mesh"):
-        mesh = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh", process=False)
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
         vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if len(faces) == 0:
@@ -53,4 +58,13 @@ def read_triangles(path: Path) -> FloatArray:
         corners = vertices[faces]
         if not np.isfinite(corners).all():
             raise InvalidInputError("a corner of a triangle is not finite")
-    return corners
+        return _metres(data) * corners if kind == "dae" else corners
+
+
+def _metres(data: bytes) -> float:
+    """The unit [m] that a COLLADA file states."""
+    unit = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
+    metres = 1.0 if unit is None else float(unit[1])
+    if not 0.0 < metres < np.inf:
+        raise InvalidInputError(f"its unit is {metres} m; give a positive one")
+    return metres

@@ -44,8 +44,11 @@ def parsing(path: Path, what: str) -> Iterator[None]:
         raise InvalidInputError(f"{what} {path}: {said}") from error
 
 
-def check_lengths(points: FloatArray, what: str) -> None:
-    """Refuse points (m, 3) [m], m >= 1, that cannot be metres: the message says which unit they may be in."""
+def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
+    """Refuse points (m, 3) [m], m >= 1, that cannot be metres: the message says which unit they may be in.
+
+    room: [m] within which at least half of them must lie.
+    """
     largest = float(np.abs(points).max())
     if largest > FARTHEST:
         row = int(np.argmax(np.abs(points).max(axis=1)))
@@ -54,7 +57,7 @@ def check_lengths(points: FloatArray, what: str) -> None:
             "scale or remove it (millimetres: scale 0.001)"
         )
     middling = float(np.median(np.abs(points).max(axis=1)))
-    if middling > ROOM:
+    if middling > room:
         raise InvalidInputError(
             f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a scale "
             "(millimetres: 0.001), or move it to the robot"

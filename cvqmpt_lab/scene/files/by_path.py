@@ -1,0 +1,93 @@
+"""Shapes that a json file names by path, put where they are named.
+
+`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type": "mesh_file", "path":
+"shelf.stl", "scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes several objects, "shelf/0", "shelf/1", ...
+"""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.codec import from_plain, located
+from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MeshFile
+from cvqmpt_lab.scene.shapes import ConvexMesh, PointCloud
+
+log = logging.getLogger(__name__)
+
+
+def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Json of a problem or task with the files read that its scene and attachments name.
+
+    Parameters
+    ----------
+    data: not changed; anything in it that is no object with a shape by path stays as it is.
+    folder: of the json file, from which paths go on.
+
+    Raises
+    ------
+    InvalidInputError: a file that cannot be used, or a field that is wrong; names both.
+    """
+    read = dict(data)
+    if isinstance(data.get("scene"), dict):
+        read["scene"] = _scene(data["scene"], folder)
+    if "attachments" in data:
+        read["attachments"] = _expanded(data["attachments"], folder, "attachments")[0]
+    return read
+
+
+def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Json of a scene; what moves an object moves all its pieces."""
+    objects, pieces = _expanded(scene.get("objects"), folder, "scene.objects")
+    joints = scene.get("articulations")
+    if pieces and isinstance(joints, list):
+        joints = [
+            {**joint, "moves": [piece for name in joint["moves"] for piece in pieces.get(str(name), [name])]}
+            if isinstance(joint, dict) and isinstance(joint.get("moves"), list)
+            else joint
+            for joint in joints
+        ]
+        scene = {**scene, "articulations": joints}
+    return {**scene, "objects": objects} if pieces else scene
+
+
+def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list[str]]]:
+    """Json of objects with their shapes, and the names of the pieces by those of the objects read from files."""
+    if not isinstance(items, list):
+        return items, {}
+    found: list[Any] = []
+    pieces: dict[str, list[str]] = {}
+    for k, item in enumerate(items):
+        shape = item.get("shape") if isinstance(item, dict) else None
+        kind = shape.get("type") if isinstance(shape, dict) else None
+        if not isinstance(shape, dict) or not isinstance(kind, str) or kind not in SHAPES_BY_PATH:
+            found.append(item)
+            continue
+        with located(f"{where}[{k}].shape"):
+            fields = {key: value for key, value in shape.items() if key != "type"}
+            shapes = list(_shapes(from_plain(SHAPES_BY_PATH[kind], fields), folder))
+        name = item.get("name")
+        names = [name] if len(shapes) == 1 else [f"{name}/{piece}" for piece in range(len(shapes))]
+        pieces[str(name)] = names
+        found.extend(
+            {**item, "name": name, "shape": shape} for name, shape in zip(names, shapes, strict=True)
+        )
+    return found, pieces
+
+
+def _shapes(named: CloudFile | MeshFile, folder: Path) -> Iterator[PointCloud | ConvexMesh]:
+    """What a file holds."""
+    path = folder / named.path
+    if isinstance(named, CloudFile):
+        from cvqmpt_lab.scene.files.clouds import read_cloud
+
+        cloud = read_cloud(path, named.scale)
+        log.info("%s: %d points, %d left out that were not finite", path, len(cloud.points), cloud.dropped)
+        yield PointCloud(cloud.points, named.radius)
+        return
+    from cvqmpt_lab.scene.files.meshes import read_mesh  # its parser takes 0.3 s to import
+
+    vertices = read_mesh(path, named.scale)
+    log.info("%s: %d convex pieces", path, len(vertices))
+    for piece in vertices:
+        yield ConvexMesh(piece)

@@ -1,0 +1,32 @@
+"""What stands in a json file in the place of a shape that a file of its own holds."""
+
+from dataclasses import dataclass
+
+from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.forms import Length, Name
+
+
+@dataclass(frozen=True, eq=False)
+class CloudFile(Checked):
+    """Points of a file, see `clouds.READERS`, as a PointCloud."""
+
+    path: Name
+    """Of the file, from the folder of the one that names it."""
+    radius: Length
+    """Of the ball around every point [m]."""
+    scale: Length = 1.0
+    """[m] of one unit of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFile(Checked):
+    """A mesh of a file, see `meshes.KINDS`, as one ConvexMesh or several."""
+
+    path: Name
+    """Of the file, from the folder of the one that names it."""
+    scale: Length = 1.0
+    """[m] of one unit of the file."""
+
+
+SHAPES_BY_PATH = {"cloud_file": CloudFile, "mesh_file": MeshFile}
+"""By the "type" that json calls them."""

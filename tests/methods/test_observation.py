@@ -1,0 +1,61 @@
+"""What networks are shown: the scene's own cloud, the cameras' view of shapes, or a cloud that was given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import Method, Stages
+from cvqmpt_lab.methods.observation import Observer, shown
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud, Sphere
+
+POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (5000, 3))
+VOXEL = 0.025
+BALL = SceneObject("ball", Sphere(0.1), pose((0.5, 0.4, 0.3)))
+SCAN = SceneObject("scan", PointCloud(POINTS, 0.01), pose((0.5, -0.2, 0.4), yaw=0.7))
+
+
+def seen(problem, *objects):
+    return Observer()(replace(problem, scene=Scene("s", objects)))
+
+
+def test_a_scene_with_a_cloud_is_seen_as_it_is(problem):
+    cloud = seen(problem, SCAN)
+    world = POINTS @ SCAN.T_world_object[:3, :3].T + SCAN.T_world_object[:3, 3]
+    assert cloud.shape == (1024, 3) and not cloud.flags.writeable
+    assert cKDTree(world).query(cloud)[0].max() < VOXEL
+    assert cKDTree(cloud).query(world)[0].mean() < 2 * VOXEL
+
+
+def test_shapes_beside_a_cloud_are_seen_too(problem):
+    cloud = seen(problem, SCAN, BALL)
+    at_ball = np.linalg.norm(cloud - BALL.T_world_object[:3, 3], axis=1) < 0.1 + VOXEL
+    assert 10 < at_ball.sum() < 1000
+
+
+def test_a_scene_of_shapes_is_looked_at_by_cameras(problem):
+    cloud = seen(problem, BALL)
+    distances = np.linalg.norm(cloud - BALL.T_world_object[:3, 3], axis=1)
+    assert len(cloud) == 1024 and np.abs(distances - 0.1).max() < VOXEL
+
+
+def test_a_given_cloud_wins_over_the_scenes(problem):
+    """Whatever the method would look at."""
+    method = Method("looks", lambda robot, weights: Stages(observe=Observer()))
+    measured = POINTS + (0.4, 0.0, 0.3)
+    cloud = shown(method, measured).stages(replace(problem, scene=Scene("s", (SCAN,)))).observe(problem)
+    assert cloud.shape == (1024, 3) and cKDTree(measured).query(cloud)[0].max() < VOXEL
+
+
+def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem):
+    blind = Method.simple("blind")
+    with pytest.raises(InvalidInputError, match="blind does not look at a cloud"):
+        shown(blind, POINTS).stages(problem)
+    with pytest.raises(
+        InvalidInputError, match=r"none of the cloud's 5000 points.*in the frame of the robot's base"
+    ):
+        Observer().of_points(POINTS + 9.0)

@@ -1,0 +1,102 @@
+"""Problems name clouds and meshes by path, from the folder they stand in."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import ConvexMesh, PointCloud
+
+POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
+FAR = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.9], [0, 0, 1, 0.2], [0, 0, 0, 1]]).tolist()
+
+
+@pytest.fixture
+def data(problem, tmp_path):
+    """Json of a problem with a cloud and a ring of several pieces; the files lie in a folder beside."""
+    (tmp_path / "parts").mkdir()
+    np.save(tmp_path / "parts" / "scan.npy", POINTS)
+    trimesh.creation.annulus(40.0, 45.0, 100.0).export(tmp_path / "parts" / "ring.stl")
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "parts" / "box.obj")
+    plain = problem.to_dict()
+    plain["scene"] = {
+        "name": "mine",
+        "objects": [
+            item_of("scan", type="cloud_file", path="parts/scan.npy", radius=0.01),
+            item_of("ring", type="mesh_file", path="parts/ring.stl", scale=0.001),
+            item_of("crate", type="mesh_file", path="parts/box.obj"),
+        ],
+    }
+    return plain
+
+
+def item_of(name, **shape):
+    return {"name": name, "shape": shape, "T_world_object": FAR}
+
+
+def saved(data, tmp_path):
+    (tmp_path / "problem.json").write_text(json.dumps(data))
+    return tmp_path / "problem.json"
+
+
+def test_files_become_objects(data, tmp_path):
+    scene = PlanningProblem.load(saved(data, tmp_path)).scene
+    assert scene["scan"].shape == PointCloud(POINTS, 0.01)
+    assert isinstance(scene["crate"].shape, ConvexMesh)
+    ring = [item for item in scene if item.name.startswith("ring/")]
+    assert len(ring) > 4 and all(isinstance(item.shape, ConvexMesh) for item in ring)
+    assert all(np.array_equal(item.T_world_object, FAR) for item in ring)
+
+
+def test_a_saved_problem_needs_the_files_no_more(data, tmp_path):
+    loaded = PlanningProblem.load(saved(data, tmp_path))
+    loaded.save(tmp_path / "again.json")
+    for path in (tmp_path / "parts").iterdir():
+        path.unlink()
+    assert PlanningProblem.load(tmp_path / "again.json").scene == loaded.scene
+
+
+def test_what_moves_an_object_moves_its_pieces(data, tmp_path):
+    joint = {"name": "lift", "kind": "slider", "T_world_joint": FAR, "lower": 0, "upper": 1, "value": 0}
+    data["scene"]["articulations"] = [{**joint, "moves": ["ring", "crate"]}]
+    scene = PlanningProblem.load(saved(data, tmp_path)).scene
+    pieces = tuple(name for name in scene.names if name.startswith("ring/"))
+    assert scene.articulation("lift").moves == (*pieces, "crate")
+
+
+def test_the_hand_may_carry_a_mesh(data, tmp_path):
+    shape = {"type": "mesh_file", "path": "parts/box.obj", "scale": 0.5}
+    data["attachments"] = [{"name": "load", "shape": shape, "T_hand_object": np.eye(4).tolist()}]
+    (load,) = PlanningProblem.load(saved(data, tmp_path)).attachments
+    np.testing.assert_allclose(np.ptp(load.shape.vertices, axis=0), 0.05)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ({"type": "cloud_file", "path": "gone.pcd", "radius": 0.01}, "cannot read cloud .*gone.pcd"),
+        ({"type": "cloud_file", "path": "parts/scan.npy"}, "radius is missing"),
+        ({"type": "cloud_file", "path": "parts/scan.npy", "raduis": 1}, "did you mean 'radius'"),
+        ({"type": "mesh_file", "path": "parts/scan.npy"}, r"'\.npy'; valid choices: \.stl"),
+        ({"type": "mesh_file", "path": "parts/ring.stl"}, "millimetres: 0.001"),
+        ({"type": "mesh_file", "path": "parts/box.obj", "scale": -1}, "scale"),
+    ],
+)
+def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, message):
+    data["scene"]["objects"].append(item_of("bad", **shape))
+    with pytest.raises(InvalidInputError, match=rf"problem\.json: scene\.objects\[3\]\.shape: .*{message}"):
+        PlanningProblem.load(saved(data, tmp_path))
+
+
+def test_a_scene_without_a_file_around_it_cannot_name_one():
+    plain = {"name": "s", "objects": [item_of("scan", type="cloud_file", path="a.npy", radius=0.01)]}
+    from cvqmpt_lab.codec import from_plain
+
+    with pytest.raises(
+        InvalidInputError, match="'cloud_file' names a file: load what names it from a file too"
+    ):
+        from_plain(Scene, plain)

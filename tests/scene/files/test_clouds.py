@@ -1,0 +1,123 @@
+"""Clouds are read as they were written; files that contradict themselves are refused in one line."""
+
+import os
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.scene.files.clouds import read_cloud
+from tests.cloud_files import GOOD, POINTS, npy, pcd, ply, xyz
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_points_are_read_as_they_were_written(name, tmp_path):
+    (tmp_path / name).write_bytes(GOOD[name])
+    cloud = read_cloud(tmp_path / name)
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-12)
+    assert cloud.dropped == 0
+
+
+@pytest.mark.parametrize("write", [pcd, ply, npy, xyz])
+def test_points_that_are_not_finite_are_counted(write, tmp_path):
+    holes = POINTS.copy()
+    holes[3, 1], holes[7, 2], holes[8] = np.nan, np.inf, -np.inf
+    path = tmp_path / f"holes.{write.__name__}"
+    path.write_bytes(write(holes))
+    cloud = read_cloud(path)
+    assert cloud.dropped == 3
+    np.testing.assert_allclose(cloud.points, np.delete(POINTS, [3, 7, 8], axis=0))
+
+
+def test_a_scale_brings_a_cloud_to_metres(tmp_path):
+    (tmp_path / "mm.npy").write_bytes(npy(1000.0 * POINTS))
+    with pytest.raises(InvalidInputError, match=r"half of it is more than .* m off .*millimetres: 0\.001"):
+        read_cloud(tmp_path / "mm.npy")
+    np.testing.assert_allclose(read_cloud(tmp_path / "mm.npy", 0.001).points, POINTS)
+    (tmp_path / "km.npy").write_bytes(npy(0.0005 * POINTS))
+    with pytest.raises(InvalidInputError, match=r"all of it lies within 0\.\d+ mm: no metres\?"):
+        read_cloud(tmp_path / "km.npy")
+
+
+FAR = POINTS.copy()
+FAR[5, 2] = -1e300
+BAD = {
+    "billion.pcd": (
+        pcd(POINTS[:0], "binary", WIDTH=10**9, POINTS=10**9),
+        "1000000000 points, the file holds 0",
+    ),
+    "billion_text.pcd": (
+        pcd(POINTS[:0], "ascii", WIDTH=10**9, POINTS=10**9),
+        "1000000000 points, the file holds 0",
+    ),
+    "billion_packed.pcd": (
+        pcd(POINTS, "binary_compressed", WIDTH=10**9, POINTS=10**9),
+        "says 1000000000 points of 16 bytes, its compressed part 640 bytes",
+    ),
+    "cut.pcd": (pcd(POINTS)[:-600], "40 points, the file holds 2: cut short"),
+    "cut_text.pcd": (pcd(POINTS, "ascii")[:-600], "40 points, the file holds|invalid column index"),
+    "cut_packed.pcd": (pcd(POINTS, "binary_compressed")[:-30], "its compressed part"),
+    "cut_header.pcd": (pcd(POINTS)[:60], "no line DATA"),
+    "more.pcd": (pcd(POINTS, WIDTH=3, POINTS=3), "says 3 points, but the file holds more"),
+    "shape.pcd": (pcd(POINTS, WIDTH=7, HEIGHT=7), "says 40 points, but 7 x 7"),
+    "negative.pcd": (pcd(POINTS, WIDTH=-40, POINTS=-40), "says -40 points"),
+    "colour.pcd": (pcd(POINTS, fields="a b c rgb"), "no single column 'x'; columns: a, b, c, rgb"),
+    "twice.pcd": (pcd(POINTS, fields="x x y z"), "no single column 'x'"),
+    "type.pcd": (pcd(POINTS, TYPE="F F F Q"), "TYPE Q of SIZE 4 does not exist"),
+    "count.pcd": (pcd(POINTS, COUNT="1 1 1 1000000000"), "COUNT is"),
+    "lengths.pcd": (pcd(POINTS, SIZE="4 4 4"), "have not the same length"),
+    "form.pcd": (pcd(POINTS, "zip"), "DATA is 'zip'"),
+    "no_points.pcd": (pcd(POINTS, POINTS=None), "no POINTS"),
+    "nothing.pcd": (pcd(POINTS[:0]), "none of its 0 points is finite"),
+    "page.pcd": (b"<!DOCTYPE html><html>\n" * 9, "no line DATA"),
+    "billion.ply": (ply(POINTS, head="element vertex 1000000000"), "1000000000 points, the file holds 40"),
+    "billion_text.ply": (ply(POINTS, "ascii", head="element vertex 1000000000"), "1000000000 points"),
+    "cut.ply": (ply(POINTS)[:-20], "40 points, the file holds 38"),
+    "list.ply": (ply(POINTS, kind="list uchar float"), "is no plain number"),
+    "property.ply": (ply(POINTS, kind="quaternion"), "property 'quaternion x' of 'vertex'"),
+    "face.ply": (ply(POINTS, head="element face 3"), "first element is not 'vertex'"),
+    "format.ply": (
+        ply(POINTS).replace(b"binary_little", b"binary_middle"),
+        "format is 'binary_middle_endian'",
+    ),
+    "page.ply": (b"<!DOCTYPE html>", "no PLY, or cut short"),
+    "huge.npy": (
+        npy(POINTS).replace(b"(40, 3)", b"(10**9,3)").replace(b"(10**9,3)", b"(99999999, 3)")[:200],
+        "the file holds another size|header",
+    ),
+    "cut.npy": (npy(POINTS)[:-1], "the file holds another size"),
+    "pickle.npy": (npy(np.array([{"a": 1}], dtype=object)), "Python objects, which may run code"),
+    "flat.npy": (npy(np.zeros(30)), "give numbers of shape"),
+    "words.npy": (npy(np.array([["a", "b", "c"]])), "give numbers of shape"),
+    "page.npy": (b"<!DOCTYPE html>", "magic"),
+    "nan.npy": (npy(np.full((4, 3), np.nan)), "none of its 4 points is finite"),
+    "far.npy": (npy(FAR), r"point 5 is 1e\+300 m off the origin"),
+    "two.xyz": (b"1 2\n3 4\n", "invalid column index"),
+    "words.xyz": (b"1 2 three\n", "three"),
+    "empty.xyz": (b"# nothing\n", "none of its 0 points is finite"),
+    "binary.xyz": (bytes(range(128, 256)), "utf-8"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_refused_by_name_in_one_line(name, tmp_path):
+    data, message = BAD[name]
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        read_cloud(tmp_path / name)
+    assert "\n" not in str(caught.value) and name in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_what_is_no_cloud_file_is_refused(tmp_path):
+    (tmp_path / "folder.pcd").mkdir()
+    for name in ("missing.pcd", "folder.pcd"):
+        with pytest.raises(InvalidInputError, match=f"cannot read cloud .*{name}"):
+            read_cloud(tmp_path / name)
+    with pytest.raises(UnknownChoiceError, match=r"'\.e57'; valid choices: \.npy, \.pcd, \.ply"):
+        read_cloud(tmp_path / "a.e57")
+
+
+def test_a_pipe_does_not_hang(tmp_path):
+    os.mkfifo(tmp_path / "pipe.xyz")
+    with pytest.raises(InvalidInputError, match="no regular file"):
+        read_cloud(tmp_path / "pipe.xyz")

@@ -1,0 +1,141 @@
+"""Meshes become convex pieces that hold all of the surface, and not much more."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.scene.files.convex_pieces import MOST_PIECES, convex_pieces
+from cvqmpt_lab.scene.files.hulls import MOST_VERTICES, of_few_vertices, spread_points
+from cvqmpt_lab.scene.files.meshes import read_mesh
+from cvqmpt_lab.scene.shapes import ConvexMesh
+
+
+def box(size, at=(0.0, 0.0, 0.0)):
+    return trimesh.creation.box(size, transform=trimesh.transformations.translation_matrix(at))
+
+
+def table():
+    legs = [box((0.04, 0.04, 0.7), (x, y, 0.35)) for x in (-0.45, 0.45) for y in (-0.25, 0.25)]
+    return trimesh.util.concatenate([box((1.0, 0.6, 0.03), (0.0, 0.0, 0.715)), *legs])
+
+
+def wave():
+    """An open sheet."""
+    x, y = np.meshgrid(np.linspace(0, 1, 15), np.linspace(0, 1, 15))
+    k = np.arange(225).reshape(15, 15)
+    upper = np.stack([k[:-1, :-1], k[1:, :-1], k[:-1, 1:]], axis=-1).reshape(-1, 3)
+    lower = np.stack([k[1:, :-1], k[1:, 1:], k[:-1, 1:]], axis=-1).reshape(-1, 3)
+    return trimesh.Trimesh(
+        np.stack([x, y, 0.2 * np.sin(5 * x)], axis=-1).reshape(-1, 3), [*upper, *lower], process=False
+    )
+
+
+MESHES = {
+    "box": (box((0.2, 0.3, 0.4)), 1, 1.001),
+    "cylinder": (trimesh.creation.cylinder(0.1, 0.3), 1, 1.001),
+    "table": (table(), 20, 1.5),
+    "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
+    "torus": (trimesh.creation.torus(0.3, 0.05), MOST_PIECES, 1.3),
+}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_pieces_hold_the_surface_and_little_more(name):
+    mesh, most, ratio = MESHES[name]
+    hulls = [ConvexHull(piece) for piece in convex_pieces(np.array(mesh.triangles))]
+    assert farthest_outside(mesh, hulls) < 1e-7
+    assert len(hulls) <= most
+    assert sum(hull.volume for hull in hulls) < ratio * mesh.volume
+
+
+def farthest_outside(mesh, hulls):
+    """How far any of many points of a surface is from all hulls [m]."""
+    points = np.concatenate([mesh.vertices, spread_points(np.array(mesh.triangles), 4000)])
+    depths = [(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls]
+    return np.min(depths, axis=0).max()
+
+
+def test_an_open_sheet_is_held_too():
+    mesh = wave()
+    pieces = convex_pieces(np.array(mesh.triangles))
+    assert farthest_outside(mesh, [ConvexHull(piece) for piece in pieces]) < 1e-7
+    for piece in pieces:
+        ConvexMesh(piece)  # none is too thin
+
+
+def test_round_hulls_get_few_vertices_and_hold_the_ball():
+    ball = trimesh.creation.icosphere(4)
+    hull = ConvexHull(of_few_vertices(np.array(ball.vertices)))
+    assert len(hull.vertices) <= MOST_VERTICES
+    assert farthest_outside(ball, [hull]) <= 0.0
+    assert hull.volume < 1.1 * ball.volume
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "dae"])
+def test_a_file_is_read_in_its_unit(suffix, tmp_path):
+    mesh = box((200.0, 300.0, 400.0), (0.0, 0.0, 100.0))
+    data = mesh.export(file_type=suffix)
+    data = data.encode() if isinstance(data, str) else data
+    (tmp_path / f"a.{suffix}").write_bytes(data)
+    (piece,) = read_mesh(tmp_path / f"a.{suffix}", 0.001)
+    np.testing.assert_allclose(piece.min(axis=0), (-0.1, -0.15, -0.1), atol=1e-6)
+    np.testing.assert_allclose(piece.max(axis=0), (0.1, 0.15, 0.3), atol=1e-6)
+    with pytest.raises(InvalidInputError, match=r"millimetres: 0\.001"):
+        read_mesh(tmp_path / f"a.{suffix}")
+
+
+def test_collada_says_its_unit(tmp_path):
+    data = box((20.0, 30.0, 40.0)).export(file_type="dae")
+    (tmp_path / "a.dae").write_bytes(data.replace(b"<up_axis>", b'<unit name="cm" meter="0.01"/><up_axis>'))
+    (piece,) = read_mesh(tmp_path / "a.dae")
+    np.testing.assert_allclose(np.ptp(piece, axis=0), (0.2, 0.3, 0.4))
+    (tmp_path / "b.dae").write_bytes(data.replace(b"<up_axis>", b'<unit meter="-1"/><up_axis>'))
+    with pytest.raises(InvalidInputError, match=r"its unit is -1\.0 m"):
+        read_mesh(tmp_path / "b.dae")
+
+
+FLAT = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .03 .03 1e-9\nf 1 2 3\nf 1 2 4\n"
+BAD = {
+    "flat.obj": (FLAT, "must span a volume"),
+    "far.obj": (b"v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nv 0 0 1e300\nf 1 2 3\nf 1 2 4\n", "m off the origin"),
+    "nan.obj": (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "finite|parse|could not"),
+    "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "obj"),
+    "empty.stl": (b"", "stl"),
+    "billion.stl": (bytes(80) + (10**9).to_bytes(4, "little") + bytes(50), "stl"),
+    "cut.stl": (box((1, 1, 1)).export(file_type="stl")[:-70], "stl"),
+    "page.dae": (b"<!DOCTYPE html><html></html>", "dae"),
+    "none.dae": (b"<?xml version='1.0'?><COLLADA version='1.4.1'/>", "dae"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_meshes_are_refused_by_name_in_one_line(name, tmp_path):
+    data, message = BAD[name]
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        read_mesh(tmp_path / name)
+    assert "\n" not in str(caught.value) and name in str(caught.value)
+
+
+def test_another_kind_of_mesh_is_refused(tmp_path):
+    with pytest.raises(UnknownChoiceError, match=r"'\.fbx'; valid choices: \.stl, \.obj, \.dae"):
+        read_mesh(tmp_path / "a.fbx")
+
+
+@pytest.mark.parametrize(
+    ("vertices", "message"),
+    [
+        (
+            [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]],
+            "not in one plane, and at least 0.1 mm thick",
+        ),
+        ([[0, 0, 0], [1e300, 0, 0], [0, 1e300, 0], [0, 0, 1e300]], r"one is 1e\+300 m off: give metres"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "got 3 points"),
+    ],
+)
+def test_hulls_that_crashed_collision_code_are_refused(vertices, message):
+    with pytest.raises(InvalidInputError, match=message):
+        ConvexMesh(np.array(vertices, dtype=float))
