@@ -21,17 +21,17 @@ def positive_int(text: str) -> int:
     raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
 
 
-def positive_seconds(text: str) -> float:
-    """A finite positive number of seconds."""
+def positive(text: str) -> float:
+    """A finite positive number."""
     with contextlib.suppress(ValueError):
         if math.isfinite(float(text)) and float(text) > 0:
             return float(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
 
 
 def add_budget(parser: argparse.ArgumentParser) -> None:
     """--cutoff, --iterations and --backend."""
-    parser.add_argument("--cutoff", type=positive_seconds, metavar="S", help="give up after S seconds (10)")
+    parser.add_argument("--cutoff", type=positive, metavar="S", help="give up after S seconds (10)")
     parser.add_argument(
         "--iterations",
         type=positive_int,
@@ -99,4 +99,4 @@ class ProgressBar:
             )
         elif 10 * done // max(total, 1) > self._tenth or done == total:
             self._tenth = 10 * done // max(total, 1)
-            print(f"{self._label} {done}/{total}, {left}", file=sys.stderr, flush=True)
+            print(f"{self._label} {done}/{total}, {left}  {note}".rstrip(), file=sys.stderr, flush=True)

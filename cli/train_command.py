@@ -2,15 +2,14 @@
 
 import argparse
 import json
-import math
 import sys
 from pathlib import Path
 
+from cli.options import ProgressBar, positive, positive_int
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.training.loop import Tick
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.runner import STAGES, Request, run_training
 
@@ -36,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dictionary", type=Path, metavar="DIR", help="for stage2: --out of stage1")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
-    parser.add_argument("--epochs", type=_positive_int, metavar="N", help="in all (the profile's)")
-    parser.add_argument("--minutes", type=_positive, metavar="M", help="stop and save after M minutes")
+    parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
+    parser.add_argument("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
     parser.add_argument("--device", default="auto", help="cpu, cuda, or auto (auto)")
     parser.add_argument(
         "--workers", type=int, default=0, metavar="J", help="processes that prepare batches (0: none)"
@@ -72,7 +71,10 @@ def run(args: argparse.Namespace) -> int:
         verify=not args.skip_checksums,
         metadata={"command": command, "provenance": origin},
     )
-    outcome = run_training(request, _Line())
+    bar = ProgressBar(args.stage)
+    outcome = run_training(
+        request, lambda tick: bar(tick.done, tick.total, f"epoch {tick.epoch + 1}, loss {tick.loss:.4f}")
+    )
     last = outcome.progress.rows[-1] if outcome.progress.rows else {}
     for name, value in last.items():
         print(f"{name:40} {'' if value is None else format(value, '.6g')}")
@@ -86,51 +88,3 @@ def _profile(args: argparse.Namespace) -> Profile:
     if args.config is None:
         return profile_named(args.profile)
     return from_plain(Profile, read_json_object(args.config), "profile")
-
-
-def _positive_int(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
-
-
-class _Line:
-    """A line of progress on standard error: rewritten on a terminal, else one for each tenth of an epoch."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stderr.isatty()
-        self._loss: float | None = None
-        self._tenth = (-1, -1)
-
-    def __call__(self, tick: Tick) -> None:
-        """Show where the training stands."""
-        self._loss = tick.loss if self._loss is None else 0.98 * self._loss + 0.02 * tick.loss
-        tenth = (tick.epoch, 10 * tick.batch // tick.batches)
-        if not self._terminal and tenth == self._tenth:
-            return
-        self._tenth = tenth
-        left = tick.seconds_left
-        eta = (
-            f"{left:.0f} s"
-            if left < 120
-            else f"{left / 60:.0f} min"
-            if left < 7200
-            else f"{left / 3600:.1f} h"
-        )
-        text = (
-            f"{tick.stage} epoch {tick.epoch + 1}/{tick.epochs} batch {tick.batch}/{tick.batches} "
-            f"loss {self._loss:.4f}, {eta} left"
-        )
-        done = tick.batch == tick.batches and tick.epoch + 1 == tick.epochs
-        if self._terminal:
-            print(f"\r{text:78}", end="\n" if done else "", file=sys.stderr, flush=True)
-        else:
-            print(text, file=sys.stderr, flush=True)

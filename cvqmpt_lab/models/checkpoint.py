@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from torch import nn
 
@@ -59,26 +59,8 @@ class Checkpoint:
         return parts
 
 
-class Trained(Protocol):
-    """What `save_checkpoint` writes."""
-
-    architecture: ClassVar[str]
-
-    @property
-    def config(self) -> Any:
-        """Sizes, a dataclass."""
-
-    @property
-    def robot(self) -> RobotSignature:
-        """Whose weights these are."""
-
-    @property
-    def metadata(self) -> Mapping[str, Any]:
-        """Json values."""
-
-    @property
-    def parts(self) -> Mapping[str, nn.Module]:
-        """Modules by the name of their weights file."""
+Trained = Checkpoint | MPNetCheckpoint
+"""Whatever `save_checkpoint` writes."""
 
 
 def save_checkpoint(folder: Path, checkpoint: Trained) -> None:

@@ -1,14 +1,13 @@
 """Configurations as the models take them: normalised joints u in [0, 1], then link positions, if any."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.robot.robot import Robot
 
 CHAIN_TOLERANCE = 1e-4
@@ -43,7 +42,9 @@ class ModelConfigurations:
         self._links = np.empty(0, dtype=np.int64)
         self._offsets = np.empty((0, 3))
         if checkpoint.config.feature_dim:
-            self._links, self._offsets = _points(checkpoint, robot)
+            chain = _chain(checkpoint, robot)
+            self._links = np.array(chain.points) + 1  # pose row 0 is the world
+            self._offsets = chain.offsets
 
     def normalised(self, q: np.ndarray) -> np.ndarray:
         """Joints u (..., n) in [0, 1] of q (..., n) [rad or m]."""
@@ -63,43 +64,32 @@ class ModelConfigurations:
         return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def _points(checkpoint: Checkpoint, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Pose rows (k,) and offsets (k, 3) [m] of the points whose positions are features."""
-    chain = checkpoint.metadata.get("kinematics")
-    expected = checkpoint.config.feature_dim
-    if not isinstance(chain, Mapping):
+def _chain(checkpoint: Checkpoint, robot: Robot) -> SerialChain:
+    """The chain whose points are features, which must be the robot's."""
+    data = checkpoint.metadata.get("kinematics")
+    if data is None:
         raise InvalidInputError(
-            f"the model takes {expected} link features, but its metadata has no kinematics; train it again"
+            f"the model takes {checkpoint.config.feature_dim} link features, but its metadata has no kinematics; "
+            "train it again"
         )
-    joints = robot.dof
-    rotation = _array(chain, "rotation", (joints, 3, 3))
-    translation = _array(chain, "translation", (joints, 3))
-    points = _array(chain, "points", (expected // 3,)).astype(np.int64)
-    offsets = _array(chain, "offsets", (expected // 3, 3))
+    chain = from_plain(SerialChain, data, "model metadata, kinematics")
+    if (len(chain.rotation), chain.feature_dim) != (robot.dof, checkpoint.config.feature_dim):
+        raise InvalidInputError(
+            f"model metadata, kinematics: {len(chain.rotation)} joints and {chain.feature_dim} features; the model "
+            f"has {robot.dof} and {checkpoint.config.feature_dim}"
+        )
     kinematics = robot.kinematics
-    if kinematics.prismatic.any() or not np.array_equal(kinematics.parent, np.arange(joints)):
+    if kinematics.prismatic.any() or not np.array_equal(kinematics.parent, np.arange(robot.dof)):
         raise InvalidInputError(
             f"link features are those of a chain of hinges, which robot {robot.name!r} is not"
         )
-    for name, trained, own in (
-        ("rotation", rotation, kinematics.rotation),
-        ("translation", translation, kinematics.translation),
-    ):
-        difference = np.abs(trained - own).reshape(joints, -1).max(axis=1)
+    for name in ("rotation", "translation"):
+        difference = np.abs(getattr(chain, name) - getattr(kinematics, name))
+        difference = difference.reshape(robot.dof, -1).max(axis=1)
         if difference.max() > CHAIN_TOLERANCE:
             joint = int(difference.argmax())
             raise InvalidInputError(
                 f"the model's link features were made with another {name} of joint {robot.joint_names[joint]!r} "
                 f"(difference {difference[joint]:g}); use the robot description it was trained with"
             )
-    return points + 1, offsets  # pose row 0 is the world
-
-
-def _array(chain: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        array = np.asarray(chain[name], dtype=float)
-    except (KeyError, TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != shape:
-        raise InvalidInputError(f"model metadata, kinematics.{name}: must be numbers of shape {shape}")
-    return array
+    return chain

@@ -16,7 +16,7 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.training.link_positions import SerialChain
+from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.training.paths import Labels, Paths, Scenes, Shapes, thinned
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
@@ -113,7 +113,9 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
     robot, families = _robot(description, path), _families(description, path)
     joints, chain = len(robot.lower), None
     if description.get("kinematics") is not None:
-        chain = SerialChain.from_json(description["kinematics"], joints, f"{path}: kinematics")
+        chain = from_plain(SerialChain, description["kinematics"], f"{path}: kinematics")
+        if len(chain.rotation) != joints:
+            raise InvalidInputError(f"{path}: kinematics has {len(chain.rotation)} joints, lower {joints}")
     shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
     digest = hashlib.sha256(read_bytes(path) + read_bytes(folder / INDEX_FILE)).hexdigest()
     return PathDataset(folder, robot, families, chain, digest, _scenes(shards), _paths(shards))

@@ -42,14 +42,12 @@ class Limits:
 class Tick:
     """After each batch: where the training stands."""
 
-    stage: str
     epoch: int
-    epochs: int
-    batch: int
-    batches: int
-    """Of an epoch."""
+    done: int
+    """Batches of all epochs."""
+    total: int
+    """Batches of all epochs."""
     loss: float
-    seconds_left: float
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ def train(
         while progress.epoch < limits.epochs:
             for tick in training.epoch():
                 report(tick)
-                over = training.is_over() and tick.batch < tick.batches
+                over = training.is_over() and not training.epoch_is_done
                 if interrupted or over or training.should_save():
                     training.save_state()
                 if interrupted:
@@ -112,7 +110,8 @@ class _Training:
             stage.prepare()
         self.progress = progress
         self._began = self._saved = time.perf_counter()
-        self._already, self._batches = progress.seconds, 0
+        self._already = progress.seconds
+        self.epoch_is_done = False
         self._end = math.inf if limits.minutes is None else self._began + 60.0 * limits.minutes
 
     def epoch(self) -> Iterator[Tick]:
@@ -138,7 +137,10 @@ class _Training:
             stage.after_step(progress, self.optimizer)
             for name, value in losses.items():
                 progress.sums[name] = progress.sums.get(name, 0.0) + value
-            yield self._tick(losses["loss"], total)
+            progress.seconds = self._already + time.perf_counter() - self._began
+            self.epoch_is_done = progress.batch == total
+            done = progress.epoch * total + progress.batch
+            yield Tick(progress.epoch, done, self.limits.epochs * total, losses["loss"])
 
     def _step(self, batch: Batch, rate: float) -> dict[str, float]:
         for group in self.optimizer.param_groups:
@@ -155,14 +157,6 @@ class _Training:
             nn.utils.clip_grad_norm_(self.stage.module.parameters(), self.stage.optimizer.clip)
         self.optimizer.step()
         return {name: float(value.detach()) for name, value in losses.items()}
-
-    def _tick(self, loss: float, total: int) -> Tick:
-        progress, epochs, now = self.progress, self.limits.epochs, time.perf_counter()
-        self._batches += 1
-        progress.seconds = self._already + now - self._began
-        remaining = (epochs - progress.epoch) * total - progress.batch
-        left = min((now - self._began) / self._batches * remaining, max(0.0, self._end - now))
-        return Tick(self.stage.name, progress.epoch, epochs, progress.batch, total, loss, left)
 
     def is_over(self) -> bool:
         """Out of minutes."""

@@ -103,7 +103,7 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
             checkpoint_folder(request.dictionary) or request.dictionary
         )
     folder = RunFolder(request.out, settings)
-    chain = None if dataset.chain is None else dataset.chain.to_json()
+    chain = None if dataset.chain is None else to_plain(dataset.chain)
     metadata = {
         **settings,
         "kinematics": chain,

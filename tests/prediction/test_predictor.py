@@ -8,14 +8,16 @@ import torch
 from small_models import METADATA, published_config, random_checkpoint, small_config
 from training_data import LOWER, UPPER, kinematics
 
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.prediction.predictor import GOAL_STD, Predictor
 from cvqmpt_lab.prediction.settings import AS_PUBLISHED, PredictorSettings
-from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
+from cvqmpt_lab.training.link_positions import LinkPositions
 
 BEAM = PredictorSettings(uniform_share=0.15, std_floor=None)
 SAMPLED = dataclasses.replace(BEAM, decoding="sampled")
@@ -41,7 +43,7 @@ def predict(predictor, queries, seed=0):
 def test_configurations_are_those_of_training(panda, checkpoint):
     q = panda.random_configurations(np.random.default_rng(0), 300)
     ours = ModelConfigurations(checkpoint, panda)
-    chain = SerialChain.from_json(kinematics(), 7, "kinematics")
+    chain = from_plain(SerialChain, kinematics())
     links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
     u = ours.normalised(q)
     np.testing.assert_allclose(ours.of(q), links.configurations(torch.from_numpy(u).float()), atol=1e-6)
@@ -256,7 +258,7 @@ def changed_kinematics(**changes):
         ({"sequence_model": None}, "train stage2"),
         ({"robot": RobotSignature("ur5", tuple(LOWER), tuple(UPPER))}, "for robot 'ur5', not 'panda'"),
         ({"metadata": {}}, "its metadata has no kinematics"),
-        ({"metadata": changed_kinematics(points=[1, 2])}, r"kinematics.points: must be numbers of shape \(4,\)"),
+        ({"metadata": changed_kinematics(points=[1, 2])}, "points and offsets describe 7, 7, 2 and 4"),
         (
             {"metadata": changed_kinematics(translation=np.full((7, 3), 0.01).tolist())},
             "another translation of joint 'panda_joint5' .difference 0.374",

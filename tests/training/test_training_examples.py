@@ -7,12 +7,14 @@ import pytest
 import torch
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import SetAbstractionConfig
 from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel
+from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.link_positions import LinkPositions, SerialChain
+from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
@@ -28,7 +30,7 @@ def dataset(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def chain():
-    return SerialChain.from_json(kinematics(), 7, "kinematics")
+    return from_plain(SerialChain, kinematics())
 
 
 def positions_one_by_one(data, q):
@@ -65,19 +67,19 @@ def test_link_positions_equal_a_loop(chain):
 
 def test_points_on_any_link_in_any_order(chain):
     data = kinematics() | {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), SerialChain.from_json(data, 7, "k"))
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), from_plain(SerialChain, data))
     q = np.linspace(-1.0, 1.0, 7)
     found = links.positions(torch.tensor(q[None], dtype=torch.float32))[0]
     np.testing.assert_allclose(found, positions_one_by_one(data, q), atol=1e-6)
-    assert SerialChain.from_json(chain.to_json(), 7, "k").feature_dim == 12
+    assert from_plain(SerialChain, to_plain(chain)).feature_dim == 12
 
 
 @pytest.mark.parametrize(
     "change", [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}, {"rotation": "x"}]
 )
 def test_kinematics_that_do_not_fit_are_named(change):
-    with pytest.raises(InvalidInputError, match=r"kinematics\.(points|offsets|rotation)"):
-        SerialChain.from_json(kinematics() | change, 7, "kinematics")
+    with pytest.raises(InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation)"):
+        from_plain(SerialChain, kinematics() | change, "kinematics")
 
 
 # ---------------------------------------------------------------- clouds

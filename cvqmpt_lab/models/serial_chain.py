@@ -1,0 +1,47 @@
+"""Kinematics whose link positions are features of a model, as plain data that is kept beside its weights."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.forms import Array, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SerialChain:
+    """Joints in a row, each turning about its own z axis, and points fixed to their links.
+
+    frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base.
+    """
+
+    rotation: Annotated[FloatArray, Array((None, 3, 3))]
+    """(n, 3, 3), from one joint's frame to the next."""
+    translation: Annotated[FloatArray, Array((None, 3), "[m]")]
+    """(n, 3) [m], likewise."""
+    points: tuple[int, ...]
+    """(k,), the frame that each point moves with."""
+    offsets: Annotated[FloatArray, Array((None, 3), "[m]")]
+    """(k, 3) [m], where in that frame."""
+
+    def __post_init__(self) -> None:
+        joints = len(self.rotation)
+        if len(self.translation) != joints or not self.points or len(self.points) != len(self.offsets):
+            raise InvalidInputError(
+                f"rotation, translation, points and offsets describe {joints}, {len(self.translation)}, "
+                f"{len(self.points)} and {len(self.offsets)}; give as many of each pair, and one point at least"
+            )
+        if max(self.points) >= joints:
+            raise InvalidInputError(f"points are frames 0 to {joints - 1}, not {list(self.points)}")
+
+    @property
+    def feature_dim(self) -> int:
+        """Numbers that the points' positions are."""
+        return 3 * len(self.points)
+
+    @property
+    def turns_about_base(self) -> bool:
+        """The first joint's axis is the base's z axis, so that turning it turns the whole robot."""
+        on_axis = np.abs(self.translation[0, :2]).max() < 1e-6
+        return bool(on_axis and np.allclose(self.rotation[0, :, 2], (0.0, 0.0, 1.0), atol=1e-6))
