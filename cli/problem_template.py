@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.task_space_region import ROWS_TEXT, RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.json_schema import FOLDER
@@ -18,7 +19,6 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 
 TILT = 0.3  # [rad]
-MARGIN = 0.01  # [m] kept from the box by start and goal
 DRAWS = 2000  # configurations looked at for a start and a goal
 APART = 0.3  # share of the robot's reach that start and goal are apart at least
 COMMENT = [
@@ -62,7 +62,11 @@ def template(source: Mapping[str, Any]) -> dict[str, Any]:
         "scene": {"name": "room", "objects": [{**box, "T_world_object": {"xyz": [away, 0.0, size]}}]},
         "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
         "start": start.tolist(),
-        "goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}},
+        **(
+            {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
+            if robot.dof > 5
+            else {"goals": [goal.tolist()]}  # too few joints for poses around one
+        ),
     }
     check_problem(PlanningProblem.from_dict(plain))
     return plain
@@ -77,13 +81,15 @@ def _upper_axis(robot: Robot) -> str:
 
 def _ends(robot: Robot, scene: Scene, manifold: RegionConstraint) -> tuple[np.ndarray, np.ndarray]:
     """Two configurations (n,) free of collision on the manifold, the end effector well apart."""
-    checker, rng = CollisionChecker(robot, scene, margin=MARGIN), np.random.default_rng(0)
+    checker, rng = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN), np.random.default_rng(0)
     first = None
     for q in robot.random_configurations(rng, DRAWS):
         landed = manifold.project(q)
-        if landed is None or checker.in_collision(landed):
+        if landed is None:
             continue
-        landed = landed.round(4)
+        landed = landed.round(4).clip(robot.lower, robot.upper)
+        if checker.in_collision(landed):
+            continue
         if first is None:
             first = landed
         elif np.linalg.norm((robot.pose(landed) - robot.pose(first))[:3, 3]) > APART * robot.reach:

@@ -68,7 +68,9 @@ class PoseForm:
         rotation = T[:3, :3]
         if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
             fault = f"last row is {T[3].tolist()}, not 0 0 0 1"
-        elif not np.allclose(rotation @ rotation.T, np.eye(3), atol=ORTHONORMAL):
+        elif np.abs(rotation).max() > 2.0 or not np.allclose(
+            rotation @ rotation.T, np.eye(3), atol=ORTHONORMAL
+        ):
             fault = "rotation part is not orthonormal"
         elif np.linalg.det(rotation) < 0.0:
             fault = "rotation part is mirrored"

@@ -145,9 +145,10 @@ def test_the_wrong_field_is_named_by_its_path(change, message):
         (np.diag([1.0, 1.0, -1.0, 1.0]), "rotation part is mirrored"),
         (np.diag([1.0, 1.0, 1.0, 5.0]), "last row is [0.0, 0.0, 0.0, 5.0], not 0 0 0 1"),
         (np.diag([2.0, 2.0, 2.0, 1.0]), "rotation part is not orthonormal"),
+        (np.diag([1e308, 1.0, 1.0, 1.0]), "rotation part is not orthonormal"),
         ([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 1]], "last row is [1.0, 0.0, 0.0, 1.0]"),
     ],
-    ids=["mirrored", "bottom row 5", "scaled", "sheared"],
+    ids=["mirrored", "bottom row 5", "scaled", "huge", "sheared"],
 )
 def test_only_rigid_poses_are_poses(matrix, fault):
     data = np.asarray(matrix).tolist()

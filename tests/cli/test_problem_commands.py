@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from cli.problem_template import template
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 
 
@@ -30,6 +31,11 @@ def test_a_new_problem_has_comments_and_is_planned_as_it_is(mine, capsys):
     assert all("_comment" in part for part in (data, data["constraint"], data["scene"]["objects"][0]))
     assert main(["plan", "--problem-file", str(mine), "--iterations", "20000"]) == 0
     assert "robot panda" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
+def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
+    check_problem(PlanningProblem.from_dict(template({"name": robot})))
 
 
 def test_a_new_problem_takes_nobodys_place(mine, capsys):
