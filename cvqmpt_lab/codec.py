@@ -6,6 +6,7 @@ whose form says how a T stands in json (see `forms`). A field "_comment" may sta
 
 import contextlib
 import dataclasses
+import json
 import math
 import types
 import typing
@@ -107,6 +108,16 @@ class Checked:
 
     def _content(self) -> Any:
         return _content([getattr(self, field) for field in field_kinds(type(self))])
+
+
+def differences(recorded: object, asked: object, name: str = "") -> list[str]:
+    """Describe every setting in which two json values differ, nested ones by dotted name."""
+    if not (isinstance(recorded, dict) and isinstance(asked, dict)):
+        return [] if recorded == asked else [f"{name} was {json.dumps(recorded)}, now {json.dumps(asked)}"]
+    found = []
+    for key in sorted(recorded.keys() | asked.keys()):
+        found += differences(recorded.get(key), asked.get(key), f"{name}.{key}" if name else key)
+    return found
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from cvqmpt_lab.codec import differences
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.files import read_json_object, write_text
 
@@ -156,13 +157,13 @@ class ProvenanceFile:
         record = self.read()
         known, now = weights_in(record), session.get("weights", {})
         both = known.keys() & now.keys()
-        differences = _differences(
+        found = differences(
             {**record["configuration"], "weights": {name: known[name] for name in both}},
             {**json.loads(_json_text(configuration)), "weights": {name: now[name] for name in both}},
         )
-        if differences:
+        if found:
             raise RunStoreError(
-                f"{self.directory} holds runs of another configuration ({'; '.join(differences)}); "
+                f"{self.directory} holds runs of another configuration ({'; '.join(found)}); "
                 "use another --out"
             )
 
@@ -182,13 +183,3 @@ def _json_text(record: Mapping[str, object]) -> str:
         raise RunStoreError(
             f"the configuration cannot be json ({error}); use finite numbers, text and lists"
         ) from error
-
-
-def _differences(recorded: object, asked: object, name: str = "") -> list[str]:
-    """Describe every setting in which two json values differ, nested ones by dotted name."""
-    if not (isinstance(recorded, dict) and isinstance(asked, dict)):
-        return [] if recorded == asked else [f"{name} was {json.dumps(recorded)}, now {json.dumps(asked)}"]
-    found = []
-    for key in sorted(recorded.keys() | asked.keys()):
-        found += _differences(recorded.get(key), asked.get(key), f"{name}.{key}" if name else key)
-    return found

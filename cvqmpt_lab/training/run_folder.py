@@ -22,6 +22,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
+from cvqmpt_lab.codec import differences
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object, require_regular_file, write_bytes
 from cvqmpt_lab.models.tensors import load_tensors
@@ -81,10 +82,10 @@ class RunFolder:
         write_bytes(self.path / SETTINGS_FILE, (json.dumps(self.settings, indent=2) + "\n").encode())
 
     def _require_equal(self, earlier: Mapping[str, Any]) -> None:
-        difference = _first_difference(earlier, self.settings, "")
-        if difference is not None:
+        found = differences(earlier, self.settings)
+        if found:
             raise InvalidInputError(
-                f"{self.path} holds a training with another {difference}; use the same or choose another --out"
+                f"{self.path} holds another training ({found[0]}); use the same or choose another --out"
             )
 
     @property
@@ -143,16 +144,6 @@ class RunFolder:
 
 def _plain(value: Any) -> Tensor:
     return torch.as_tensor(value).detach().cpu().contiguous().clone()
-
-
-def _first_difference(earlier: Any, now: Any, name: str) -> str | None:
-    if isinstance(earlier, dict) and isinstance(now, dict):
-        for key in dict.fromkeys((*earlier, *now)):
-            inner = _first_difference(earlier.get(key), now.get(key), f"{name}.{key}" if name else key)
-            if inner is not None:
-                return inner
-        return None
-    return None if earlier == now else f"{name} ({earlier!r}, now {now!r})"
 
 
 def _picture(rows: list[dict[str, float | None]], panels: Mapping[str, tuple[str, ...]]) -> bytes:

@@ -265,15 +265,15 @@ def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
     (tmp_path / "full" / "thesis.tex").write_text("x")
     with pytest.raises(InvalidInputError, match="not empty and holds no training"):
         go("stage1", data, tmp_path / "full")
-    with pytest.raises(InvalidInputError, match=r"another seed \(0, now 3\)"):
+    with pytest.raises(InvalidInputError, match=r"another training \(seed was 0, now 3\)"):
         go("stage1", data, dictionary, seed=3)
-    with pytest.raises(InvalidInputError, match=r"another stage \('stage1', now 'mpnet'\)"):
+    with pytest.raises(InvalidInputError, match=r'another training \(stage was "stage1", now "mpnet"\)'):
         go("mpnet", data, dictionary)
     other = write_dataset(tmp_path / "d", seed=9)
-    with pytest.raises(InvalidInputError, match="another data_sha256"):
+    with pytest.raises(InvalidInputError, match="data_sha256 was"):
         go("stage1", other, dictionary)
     profile = dataclasses.replace(TINY, stage1=dataclasses.replace(TINY.stage1, batch=5))
-    with pytest.raises(InvalidInputError, match=r"another profile.stage1.batch \(4, now 5\)"):
+    with pytest.raises(InvalidInputError, match=r"profile.stage1.batch was 4, now 5"):
         go("stage1", data, dictionary, profile)
 
 

@@ -88,10 +88,17 @@ def beam_search(
     if scoring not in get_args(Scoring):
         raise UnknownChoiceError("scoring", scoring, get_args(Scoring))
     log_p = _first_log_probabilities(decoder, max_length)
-    queries, classes = log_p.shape
-    goal = classes - 1
-    if not 1 <= beams <= classes - 2:
-        raise InvalidInputError(f"{beams} beams; give 1 to {classes - 2}")
+    most = log_p.shape[1] - 2
+    if not 1 <= beams <= most:
+        raise InvalidInputError(f"{beams} beams; give 1 to {most}")
+    return _search(decoder, log_p, beams, max_length, scoring)
+
+
+def _search(
+    decoder: StepDecoder, log_p: np.ndarray, beams: int, max_length: int, scoring: Scoring
+) -> list[CodeSequence]:
+    """Search on from the log probabilities (q, classes) of the first codes."""
+    queries, goal = len(log_p), log_p.shape[1] - 1
     codes, score = _largest(log_p, beams)
     hypotheses = _Beams(codes[..., None], score, score)
     first_row = beams * np.arange(queries)[:, None]
