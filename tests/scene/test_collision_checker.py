@@ -271,11 +271,10 @@ def test_misplaced_units_are_named_before_they_take_memory(panda, attachment, me
 @pytest.mark.parametrize(
     ("vertices", "message"),
     [
-        ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]], "1e-09 m thick"),
-        (1e100 * np.eye(4)[:, :3], r"1e\+100 m, beyond 10000"),
+        ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]], "at least 0.1 mm thick"),
+        (1e100 * np.eye(4)[:, :3], r"within 10000 m of their frame, one is 1e\+100 m off"),
     ],
 )
-def test_meshes_that_would_crash_are_refused(panda, vertices, message):
-    mesh = SceneObject("mesh", ConvexMesh(np.array(vertices, dtype=float)), pose((0.4, 0.0, 0.4)))
+def test_meshes_that_would_crash_are_refused(vertices, message):
     with pytest.raises(InvalidInputError, match=message):
-        CollisionChecker(panda, scene_with(mesh))
+        ConvexMesh(np.array(vertices, dtype=float))
