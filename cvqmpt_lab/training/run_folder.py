@@ -85,7 +85,7 @@ class RunFolder:
         found = differences(earlier, self.settings)
         if found:
             raise InvalidInputError(
-                f"{self.path} holds another training ({found[0]}); use the same or choose another --out"
+                f"{self.path} holds another training ({min(found, key=len)}); use the same or choose another --out"
             )
 
     @property
