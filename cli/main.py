@@ -105,11 +105,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def entry_point() -> None:
-    """Console script: leave without interpreter teardown, in which ompl's bindings print leak reports."""
-    code = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    """Console script."""
+    sys.exit(main())
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ that `birrt` uses; parameters are those of the published experiment code.
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,9 +92,6 @@ class _Run:
 
     def __init__(self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray) -> None:
         self._space = space
-        self._n = space.robot.dof
-        self._lower, self._upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
-        self._q = np.empty(self._n)
         self._css = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
         self._css.setDelta(DELTA)
         information = (
@@ -102,7 +100,7 @@ class _Run:
             else ob.ConstrainedSpaceInformation
         )
         self._information = information(self._css)
-        self._information.setStateValidityChecker(self._valid)
+        self._information.setStateValidityChecker(_validity(space))
         self._information.setup()
         self._problem = ob.ProblemDefinition(self._information)
         self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
@@ -137,14 +135,7 @@ class _Run:
         return state
 
     def _read(self, state) -> np.ndarray:
-        return np.array([state[i] for i in range(self._n)])
-
-    def _valid(self, state) -> bool:
-        """Inside the limits (OMPL's geodesics do not check them) and free of collision."""
-        q = self._q
-        for i in range(self._n):
-            q[i] = state[i]
-        return bool((q >= self._lower).all() and (q <= self._upper).all() and self._space.valid(q))
+        return np.array([state[i] for i in range(self._space.robot.dof)])
 
     def run(self, budget: Budget, began: float) -> tuple[PlanStatus, Path | None]:
         """Search until a path passes the fine check or the budget is spent; grazing paths are searched anew."""
@@ -186,6 +177,22 @@ class _Run:
         first, last = (self._moved.get(q.tobytes()) for q in (states[0], states[-1]))
         whole = [q for q in (first, *states, last) if q is not None]
         return self._space.checked_path(np.array(whole))[0]
+
+
+def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
+    """Whether a state is inside the limits (OMPL's geodesics do not check them) and free of collision.
+
+    OMPL's objects hold this function and no garbage collector sees that: it must not hold them in return.
+    """
+    lower, upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
+    q = np.empty(space.robot.dof)
+
+    def valid(state) -> bool:
+        for i in range(len(q)):
+            q[i] = state[i]
+        return bool((q >= lower).all() and (q <= upper).all() and space.valid(q))
+
+    return valid
 
 
 def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:

@@ -1,7 +1,9 @@
 """Planners: they solve and are certified, repeat, give up when told, and pass exceptions on."""
 
+import gc
 import subprocess
 import sys
+import weakref
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.ompl_planners import STATE_SPACES, OmplSearch
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
@@ -244,6 +247,19 @@ def test_exceptions_in_state_checks_come_out(problem, name):
     fields = {k: getattr(problem, k) for k in problem.__dataclass_fields__}
     with pytest.raises(KeyboardInterrupt, match="question 100"):
         plan(Interrupted(**fields), name, Budget(seconds=20.0), seed=1, backend="exact")
+
+
+@pytest.mark.parametrize("manifold", STATE_SPACES)
+def test_ompl_keeps_nothing_of_a_run(problem, manifold):
+    """Python's collector does not see what OMPL's objects hold: a circle through them would last for ever."""
+    space = ConstrainedSpace(problem)
+    uniform = Uniform(problem.robot.lower, problem.robot.upper)
+    arguments = problem.start, problem.goals, uniform, Budget(iterations=3), np.random.default_rng(0)
+    OmplSearch(manifold).search(space, *arguments)
+    kept = weakref.ref(space)
+    del space
+    gc.collect()
+    assert kept() is None
 
 
 def test_state_check_keeps_its_error_until_asked():
