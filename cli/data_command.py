@@ -5,14 +5,16 @@ import sys
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int
+from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.scene.families import FAMILIES
 from experiments.run import default_jobs
-from experiments.training_data import Recipe, generate
+from experiments.training_data import PANDA, Recipe, generate
 from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
+    "cvqmpt data generate --robot ur5 --scenes 1000 --paths-per-scene 50 --out data/ur5",
     "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
 )
 ACTIONS = ("generate",)
@@ -35,13 +37,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists"
     )
+    add_robot(parser, "another robot than the Panda")
 
 
 def run(args: argparse.Namespace) -> int:
     """Generate what is missing."""
     if args.action not in ACTIONS:
         raise UnknownChoiceError("action", args.action, ACTIONS)
-    recipe = Recipe(args.scenes, args.paths_per_scene, tuple(args.family.split(",")), args.seed)
+    families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
+    recipe = Recipe(args.scenes, args.paths_per_scene, families, args.seed, robot=robot)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     paths = generate(recipe, args.out, args.jobs, ["cvqmpt", *sys.argv[1:]], ProgressBar("data"))
     print((args.out / "README.md").read_text())

@@ -11,7 +11,7 @@ from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortes
 from cvqmpt_lab.planning.result import Path
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.training.shards import FULL_SCALE, Arrays
@@ -42,6 +42,7 @@ class _Label:
 class LabelledScene:
     """What training learns from one scene."""
 
+    robot: Robot
     scene: Scene
     labels: list[_Label]
     probes: np.ndarray
@@ -55,17 +56,23 @@ class LabelledScene:
 
 
 def labelled_scene(
-    scene: Scene, pairs: int, settings: NearShortestSettings, seed: Sequence[int], *, with_twins: bool
+    robot: Robot,
+    scene: Scene,
+    pairs: int,
+    settings: NearShortestSettings,
+    seed: Sequence[int],
+    *,
+    with_twins: bool,
 ) -> LabelledScene:
     """Label a scene: paths between so many pairs of configurations, some of which give none."""
-    space = _space(scene)
+    space = _space(robot, scene)
     rng = np.random.default_rng(seed)
     labels = _labels(space, rng, pairs, settings, with_twins)
-    probes = space.robot.random_configurations(rng, PROBES)
+    probes = robot.random_configurations(rng, PROBES)
     free = space.valid_batch(probes)
-    edges = _edges(probes, rng)
+    edges = _edges(robot, probes, rng)
     edge_free = np.array([motion_free(space.arrays, *edge) for edge in edges], dtype=bool)
-    return LabelledScene(scene, labels, probes, free, edges, edge_free)
+    return LabelledScene(robot, scene, labels, probes, free, edges, edge_free)
 
 
 def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
@@ -80,7 +87,8 @@ def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
         for draw, offset in zip(draws, before.tolist(), strict=False)
         for label in draw.labels
     ]
-    waypoints = [_packed(label.path.spaced(SPACING)) for label in labels]
+    robot = draws[0].robot
+    waypoints = [_packed(robot, label.path.spaced(SPACING)) for label in labels]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for label in labels]
     return {
         "family": np.array([family for family, _, _ in scenes], np.uint8),
@@ -91,14 +99,14 @@ def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
         "shape_pose": np.array([item.T_world_object[:3] for item in items], np.float32).reshape(-1, 3, 4),
         "path_scene": np.repeat(np.arange(len(draws)), np.diff(before)).astype(np.int32),
         "path_start": np.cumsum([0, *(len(w) for w in waypoints)], dtype=np.int32),
-        "waypoints": np.concatenate([np.empty((0, draws[0].probes.shape[1]), np.uint16), *waypoints]),
+        "waypoints": np.concatenate([np.empty((0, robot.dof), np.uint16), *waypoints]),
         "length": np.array([label.path.length for label in labels], np.float32),
         "straight": np.array(straight, np.float32),
         "trivial": np.array([label.trivial for label in labels], bool),
         "twin_of": np.array(twins, np.int32),
-        "probe_q": np.stack([_packed(draw.probes) for draw in draws]),
+        "probe_q": np.stack([_packed(robot, draw.probes) for draw in draws]),
         "probe_free": np.stack([draw.probe_free for draw in draws]),
-        "edge_q": np.stack([_packed(draw.edges) for draw in draws]),
+        "edge_q": np.stack([_packed(robot, draw.edges) for draw in draws]),
         "edge_free": np.stack([draw.edge_free for draw in draws]),
     }
 
@@ -110,16 +118,14 @@ SHAPES = {
 }
 
 
-def _space(scene: Scene) -> ConstrainedSpace:
+def _space(robot: Robot, scene: Scene) -> ConstrainedSpace:
     """The unconstrained planning space of a scene."""
-    robot = panda()
     middle = 0.5 * (robot.lower + robot.upper)
     return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
 
 
-def _edges(configurations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _edges(robot: Robot, configurations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A straight motion (e, 2, n) from each of the configurations (e, n), up to LONGEST_EDGE long, any way."""
-    robot = panda()
     way = rng.normal(size=configurations.shape)
     way *= rng.uniform(0.1, LONGEST_EDGE, (len(way), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
     ends = np.clip(configurations + way, robot.lower, robot.upper)
@@ -186,8 +192,7 @@ def _near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.n
     return near
 
 
-def _packed(configurations: np.ndarray) -> np.ndarray:
+def _packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
     """Joints as 16-bit shares of their range."""
-    robot = panda()
     u = (configurations - robot.lower) / (robot.upper - robot.lower)
     return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)

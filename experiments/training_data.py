@@ -6,16 +6,22 @@ start at FIRST_SCENE: the scenes of evaluation suites have smaller ones.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
+from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
@@ -32,6 +38,7 @@ from experiments.workers import worker_pool
 FIRST_SCENE = 10_000_000
 SCENES_PER_SEED = 1_000_000
 SCENES_PER_SHARD = 16
+PANDA = {"name": "panda"}
 TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a second, independent label
 
 
@@ -46,6 +53,8 @@ class Recipe:
     families: tuple[str, ...] = tuple(FAMILIES)
     seed: int = 0
     labels: NearShortestSettings = field(default_factory=NearShortestSettings)
+    robot: Mapping[str, Any] = field(default_factory=PANDA.copy)
+    """As field 'robot' of a problem file."""
 
     def __post_init__(self) -> None:
         for family in self.families:
@@ -95,18 +104,16 @@ def generate(
 
 def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
     """Write dataset.json, or check that it says the same."""
-    robot = panda()
+    robot = robot_from_source(recipe.robot)
     settings = json.loads(json.dumps(asdict(recipe)))
     path = out / DESCRIPTION_FILE
     if path.exists():
-        existing = read_json_object(path).get("recipe")
-        if existing != settings:
+        existing = read_json_object(path).get("recipe", {})
+        if {"robot": PANDA, **existing} != settings:  # datasets of the Panda alone do not name it
             raise InvalidInputError(
                 f"{out} holds a dataset of another recipe, {existing}; choose another --out"
             )
         return
-    kinematics, (hand, T) = robot.kinematics, robot.end_effector_link
-    points = [*range(1, robot.dof), hand - 1]
     description = {
         "schema": SCHEMA,
         "robot": robot.name,
@@ -115,27 +122,38 @@ def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
         "joints": list(robot.joint_names),
         "kinematics_digest": robot.kinematics_digest,
         "families": list(recipe.families),
-        "kinematics": {
-            "rotation": kinematics.rotation.tolist(),
-            "translation": kinematics.translation.tolist(),
-            "points": points,
-            "offsets": [[0.0, 0.0, 0.0]] * (len(points) - 1) + [T[:3, 3].tolist()],
-        },
+        "kinematics": to_plain(_chain(robot)),
         "recipe": settings,
         "provenance": provenance(command, [recipe.seed]),
     }
     write_text(path, json.dumps(description, indent=1) + "\n")
 
 
+def _chain(robot: Robot) -> SerialChain:
+    """Kinematics with a point on each joint but the first, and the hand."""
+    kinematics, (hand, T) = robot.kinematics, robot.end_effector_link
+    offsets = np.zeros((robot.dof, 3))
+    offsets[-1] = T[:3, 3]
+    return SerialChain(
+        rotation=kinematics.rotation,
+        translation=kinematics.translation,
+        points=(*range(1, robot.dof), hand - 1),
+        offsets=offsets,
+        sliders=tuple(np.flatnonzero(kinematics.prismatic).tolist()),
+    )
+
+
 def _shard(recipe: Recipe, number: int) -> Shard:
     """One shard; scenes of each family in turn have twins."""
     first = number * SCENES_PER_SHARD
-    scenes = []
+    robot, scenes = robot_from_source(recipe.robot), []
     for index in range(first, min(first + SCENES_PER_SHARD, recipe.scenes)):
         family, scene_number = recipe.scene_of(index)
         scene = family_scene(recipe.families[family], scene_number)
         with_twins = index // len(recipe.families) % TWIN_EVERY == 0
         seed = (recipe.seed, index)
-        draw = labelled_scene(scene, recipe.paths_per_scene, recipe.labels, seed, with_twins=with_twins)
+        draw = labelled_scene(
+            robot, scene, recipe.paths_per_scene, recipe.labels, seed, with_twins=with_twins
+        )
         scenes.append((family, scene_number, draw))
     return Shard.of(number, shard_arrays(scenes))

@@ -11,9 +11,9 @@ from cvqmpt_lab.forms import Array, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """Joints in a row, each turning about its own z axis, and points fixed to their links.
+    """Joints in a row, each turning about its own z axis or sliding along it, and points fixed to their links.
 
-    frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base.
+    frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base; for sliders Tz(q_j).
     """
 
     rotation: Annotated[FloatArray, Array((None, 3, 3))]
@@ -24,6 +24,8 @@ class SerialChain:
     """(k,), the frame that each point moves with."""
     offsets: Annotated[FloatArray, Array((None, 3), "[m]")]
     """(k, 3) [m], where in that frame."""
+    sliders: tuple[int, ...] = ()
+    """The joints that slide."""
 
     def __post_init__(self) -> None:
         joints = len(self.rotation)
@@ -32,8 +34,9 @@ class SerialChain:
                 f"rotation, translation, points and offsets describe {joints}, {len(self.translation)}, "
                 f"{len(self.points)} and {len(self.offsets)}; give as many of each pair, and one point at least"
             )
-        if max(self.points) >= joints:
-            raise InvalidInputError(f"points are frames 0 to {joints - 1}, not {list(self.points)}")
+        for name, listed in (("points", self.points), ("sliders", self.sliders)):
+            if max(listed, default=0) >= joints:
+                raise InvalidInputError(f"{name} are frames 0 to {joints - 1}, not {list(listed)}")
 
     @property
     def feature_dim(self) -> int:
@@ -43,5 +46,7 @@ class SerialChain:
     @property
     def turns_about_base(self) -> bool:
         """The first joint's axis is the base's z axis, so that turning it turns the whole robot."""
+        if 0 in self.sliders:
+            return False
         on_axis = np.abs(self.translation[0, :2]).max() < 1e-6
         return bool(on_axis and np.allclose(self.rotation[0, :, 2], (0.0, 0.0, 1.0), atol=1e-6))

@@ -79,9 +79,11 @@ def _chain(checkpoint: Checkpoint, robot: Robot) -> SerialChain:
             f"has {robot.dof} and {checkpoint.config.feature_dim}"
         )
     kinematics = robot.kinematics
-    if kinematics.prismatic.any() or not np.array_equal(kinematics.parent, np.arange(robot.dof)):
+    if not np.array_equal(kinematics.parent, np.arange(robot.dof)):
+        raise InvalidInputError(f"link features are those of a chain, which robot {robot.name!r} is not")
+    if chain.sliders != tuple(np.flatnonzero(kinematics.prismatic).tolist()):
         raise InvalidInputError(
-            f"link features are those of a chain of hinges, which robot {robot.name!r} is not"
+            f"the model's link features were made with sliders {list(chain.sliders)}, not those of {robot.name!r}"
         )
     for name in ("rotation", "translation"):
         difference = np.abs(getattr(chain, name) - getattr(kinematics, name))

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.shards import FULL_SCALE
 
@@ -13,19 +12,8 @@ class BaseTurn:
     """Draws turns about the base that keep paths between the limits of the first joint, and applies them."""
 
     def __init__(self, dataset: PathDataset, active: bool) -> None:
-        """Prepare for a dataset; all turns are 0 unless active.
-
-        Raises
-        ------
-        InvalidInputError
-            When the robot cannot be turned so.
-        """
-        if active and (dataset.chain is None or not dataset.chain.turns_about_base):
-            raise InvalidInputError(
-                "turn_base needs kinematics in the dataset whose first joint turns about the base's z axis; "
-                "set it to false"
-            )
-        self.active = active
+        """Prepare for a dataset; all turns are 0 unless active and the first joint turns about the base's z axis."""
+        self.active = active and dataset.chain is not None and dataset.chain.turns_about_base
         self._range = np.float64(dataset.robot.upper[0] - dataset.robot.lower[0])
         first, starts = dataset.paths.waypoints[:, 0], dataset.paths.start[:-1]
         self.least = np.minimum.reduceat(first, starts) / FULL_SCALE if len(starts) else np.empty(0)

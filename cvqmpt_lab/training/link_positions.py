@@ -32,7 +32,7 @@ class LinkPositions:
         return torch.cat((u, self.positions(self._lower + u * self._range)), dim=-1)
 
     def positions(self, q: Tensor) -> Tensor:
-        """Positions (..., 3 k) [m, robot base frame] of joints q (..., n) [rad]."""
+        """Positions (..., 3 k) [m, robot base frame] of joints q (..., n) [rad or m]."""
         if self._chain is None:
             raise InvalidInputError("link positions need the dataset's kinematics; it has none")
         flat = q.reshape(-1, q.shape[-1])
@@ -46,8 +46,11 @@ class LinkPositions:
                 step, shift = self._rotation[joint], self._translation[joint]
                 origin = origin + x * shift[0] + y * shift[1] + z * shift[2]
                 x, y, z = (x * step[0, i] + y * step[1, i] + z * step[2, i] for i in range(3))
-            c, s = cosine[:, joint, None], sine[:, joint, None]
-            x, y = x * c + y * s, y * c - x * s
+            if joint in self._chain.sliders:
+                origin = origin + z * flat[:, joint, None]
+            else:
+                c, s = cosine[:, joint, None], sine[:, joint, None]
+                x, y = x * c + y * s, y * c - x * s
             for point in (k for k, frame in enumerate(self._chain.points) if frame == joint):
                 offset = self._offsets[point]
                 places[point] = origin + x * offset[0] + y * offset[1] + z * offset[2]

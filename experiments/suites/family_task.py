@@ -3,7 +3,9 @@
 Scene numbers below FIRST_SCENE of `training_data` occur in no dataset.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -15,16 +17,19 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.families import family_scene
 from experiments.suites.place_task import UnsolvableProblem
 
+PANDA = {"name": "panda"}
 PROBLEMS = range(50)
 DRAWS = 4000  # configurations drawn for start and goal
 APART = 2.0  # [rad] start and goal at least
 TRIES = 200  # pairs looked at for one whose straight motion is blocked
 
 
-def family_problem(family: str, number: int) -> PlanningProblem | UnsolvableProblem:
+def family_problem(
+    family: str, number: int, robot_source: Mapping[str, Any] = PANDA
+) -> PlanningProblem | UnsolvableProblem:
     """The problem of one scene: a start and a goal on the manifold, the straight motion between them blocked."""
     scene = family_scene(family, number)
-    robot = robot_from_source({"name": "panda"})
+    robot = robot_from_source(robot_source)
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(str(number), robot, scene, middle, middle[None], (upright(),))
     space, rng = ConstrainedSpace(problem), np.random.default_rng([number, 7])

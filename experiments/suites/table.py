@@ -16,7 +16,12 @@ from experiments.suites.door_task import door_problem
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
 from experiments.suites.family_task import family_problem
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
+from experiments.suites.other_robots import PROBLEMS as ROBOT_PROBLEMS
+from experiments.suites.other_robots import ROBOTS, other_robot_problem
 from experiments.suites.place_task import ENVIRONMENTS, UnsolvableProblem, carried_can, place_problem
+
+FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
+"""Planners for problems that no shipped weights fit."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,10 @@ SUITES: Mapping[str, Suite] = {
         Suite("place-task", ENVIRONMENTS, place_problem, carried=(carried_can(),)),
         Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
         *(Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name)) for name in FAMILIES),
-        Suite(
-            "open-door", DOOR_PROBLEMS, door_problem, [name for name in PLANNERS if name in WITHOUT_WEIGHTS]
+        Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
+        *(
+            Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)
+            for name in ROBOTS
         ),
         Suite("multi-sequence", TASKS, multi_sequence_task, settings={"speed": SLOW}),
     )

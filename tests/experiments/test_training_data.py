@@ -1,19 +1,23 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import locked
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, Spheroid, near_shortest
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.shards import FULL_SCALE
 from experiments import labelled_scenes, training_data
 from experiments.dataset_card import dataset_card
@@ -115,6 +119,28 @@ def test_another_recipe_in_the_same_folder_is_refused(tiny):
         make(tiny, Recipe(6, 3, TINY.families, labels=TINY.labels))
 
 
+def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):
+    chain = training_data._chain(slider_arm)
+    q = slider_arm.random_configurations(np.random.default_rng(0), 20)
+    links = LinkPositions(tuple(slider_arm.lower), tuple(slider_arm.upper), chain)
+    found = links.positions(torch.tensor(q)).reshape(20, -1, 3)
+    _, translations = link_poses(slider_arm.kinematics, q)
+    np.testing.assert_allclose(found[:, :-1], translations[:, 2:], atol=1e-5)
+    np.testing.assert_allclose(found[:, -1], [slider_arm.pose(x)[:3, 3] for x in q], atol=1e-5)
+    assert chain.sliders == (0,)
+
+
+def test_a_dataset_from_before_robots_had_a_name_in_it_goes_on(tiny, tmp_path):
+    shutil.copytree(tiny, tmp_path / "old")
+    path = tmp_path / "old" / "dataset.json"
+    description = json.loads(path.read_text())
+    assert description["recipe"].pop("robot") == {"name": "panda"}
+    path.write_text(json.dumps(description))
+    make(tmp_path / "old")
+    with pytest.raises(InvalidInputError, match="another recipe"):
+        make(tmp_path / "old", replace(TINY, robot={"name": "ur5"}))
+
+
 def test_the_card_counts_what_is_there(tiny):
     dataset, card = open_dataset(tiny), dataset_card(tiny)
     assert f"| all | {len(dataset.scenes)} | {(dataset.paths.twin_of < 0).sum()} |" in card
@@ -155,7 +181,7 @@ def test_spheroid_keeps_detours_short():
 
 def test_more_restarts_make_shorter_labels():
     scene = family_scene("cubes-spheres", training_data.FIRST_SCENE + 4)
-    space, lengths = labelled_scenes._space(scene), {1: [], 12: []}
+    space, lengths = labelled_scenes._space(panda(), scene), {1: [], 12: []}
     rng = np.random.default_rng(0)
     states = space.robot.random_configurations(rng, 600)
     states = [q for q in states if space.valid(q)]

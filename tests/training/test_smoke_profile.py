@@ -1,24 +1,32 @@
 """Data, both stages of training and a prediction, through the command line, on the smoke profile."""
 
+import json
+
 import numpy as np
+import pytest
 
 from cli.main import main
 from cvqmpt_lab.models.checkpoint import load_checkpoint
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.prediction.settings import PredictorSettings
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.loading import robot_from_source
 
 
-def test_from_scenes_to_a_prediction(tmp_path):
+@pytest.mark.parametrize(
+    "robot_options",
+    ["", "--robot ur5 --family shelves", "--robot tiago-no-hand --base 0,0,-0.6 --family shelves"],
+)
+def test_from_scenes_to_a_prediction(tmp_path, robot_options):
+    """For the Panda, an arm of six joints and one whose first joint slides."""
     data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
     few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]  # the first one validates
-    assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data)]) == 0
+    assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data), *robot_options.split()]) == 0
     common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
     assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
     assert main(["train", "stage2", *common, "--dictionary", str(stage1), "--out", str(stage2)]) == 0
 
-    robot = panda()
+    robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
     checkpoint = load_checkpoint(stage2 / "model", robot_signature(robot))
     predictor = Predictor(checkpoint, robot, PredictorSettings(uniform_share=0.2))
     rng = np.random.default_rng(0)

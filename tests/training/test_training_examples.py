@@ -75,10 +75,11 @@ def test_points_on_any_link_in_any_order(chain):
 
 
 @pytest.mark.parametrize(
-    "change", [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}, {"rotation": "x"}]
+    "change",
+    [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}, {"rotation": "x"}, {"sliders": [7]}],
 )
 def test_kinematics_that_do_not_fit_are_named(change):
-    with pytest.raises(InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation)"):
+    with pytest.raises(InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation|sliders)"):
         from_plain(SerialChain, kinematics() | change, "kinematics")
 
 
@@ -201,12 +202,13 @@ def test_wrapped_probes_stay_the_same_posture(dataset, chain):
     np.testing.assert_allclose(one, other, atol=5e-6)
 
 
-def test_robots_that_cannot_be_turned_are_refused(tmp_path):
-    tilted = kinematics()
+def test_robots_that_cannot_be_turned_about_their_base_are_not(dataset, tmp_path):
+    tilted, rng = kinematics(), np.random.default_rng(0)
     tilted["rotation"][0] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
-    dataset = open_dataset(write_dataset(tmp_path / "d", kinematics=tilted))
-    with pytest.raises(InvalidInputError, match="turn_base needs"):
-        BaseTurn(dataset, True)
+    assert BaseTurn(dataset, True).draw(np.arange(2), rng) != 0.0
+    for k, other in enumerate((tilted, kinematics() | {"sliders": [0]})):
+        turn = BaseTurn(open_dataset(write_dataset(tmp_path / str(k), kinematics=other)), True)
+        assert turn.draw(np.arange(2), rng) == 0.0 and not turn.draw_each(np.arange(2), rng).any()
 
 
 # ---------------------------------------------------------------- batches

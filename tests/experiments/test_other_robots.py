@@ -1,0 +1,33 @@
+"""Problems of arms beside the Panda: posed as promised, and solved by a planner that needs no weights."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.methods.table import WITHOUT_WEIGHTS
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.problem import check_problem
+from experiments.suites.other_robots import ROBOTS
+from experiments.suites.table import suite_named
+
+
+@pytest.mark.parametrize(("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)])
+def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
+    suite = suite_named(f"robots-{robot}")
+    problem, again = suite.solvable(6), suite.solvable(6)
+    np.testing.assert_array_equal(problem.start, again.start)
+    assert problem.robot.dof == joints and problem.robot.kinematics.prismatic.sum() == sliders
+    check_problem(problem)
+    solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
+    assert solution.solved and solution.certificate.reasons == ()
+    ends = solution.simplified.path.states[[0, -1]]
+    np.testing.assert_array_equal(ends[0], problem.start)
+    np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
+    upright = [problem.robot.pose(q)[2, 0] for q in solution.simplified.path.states]
+    assert min(upright) > np.cos(0.2)
+
+
+def test_every_robot_has_a_suite_whose_planners_need_no_weights():
+    for robot in ROBOTS:
+        suite = suite_named(f"robots-{robot}")
+        assert len(suite.problems) == 20 and suite.planners and set(suite.planners) <= set(WITHOUT_WEIGHTS)
