@@ -28,7 +28,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from cvqmpt_lab.codec import located, mapping, unique
+from cvqmpt_lab.codec import mapping, unique
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.report import bound_usage
@@ -54,9 +54,7 @@ class RobotForm:
         """Load the robot."""
         if isinstance(value, Robot):
             return value
-        source = mapping(value, where, "'name', or 'urdf' and 'end_effector'")
-        with located(where):
-            return robot_from_source(source)
+        return robot_from_source(mapping(value, where, "'name', or 'urdf' and 'end_effector'"))
 
     def write(self, value: Robot) -> Any:
         """Its source."""

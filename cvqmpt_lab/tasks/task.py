@@ -50,8 +50,7 @@ class Task(Document):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        with located("robot"):
-            robot = robot_from_source(self.robot)
+        robot = robot_from_source(self.robot)
         object.__setattr__(self, "robot", robot.source)
         if self.start.shape != (robot.dof,):
             raise InvalidInputError(
