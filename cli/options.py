@@ -1,4 +1,4 @@
-"""Options and checks that several subcommands share."""
+"""Options and checks that several subcommands share; light, so that training runs on a bare machine."""
 
 import argparse
 import contextlib
@@ -8,9 +8,6 @@ import time
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.table import PLANNERS
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import BACKENDS
 
 
 def positive_int(text: str) -> int:
@@ -29,37 +26,10 @@ def positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
 
 
-def add_budget(parser: argparse.ArgumentParser) -> None:
-    """--cutoff, --iterations and --backend."""
-    parser.add_argument("--cutoff", type=positive, metavar="S", help="give up after S seconds (10)")
-    parser.add_argument(
-        "--iterations",
-        type=positive_int,
-        metavar="N",
-        help="give up after N iterations: repeatable bit for bit",
-    )
-    parser.add_argument(
-        "--backend", default="compiled", help=f"collision backend: {', '.join(BACKENDS)} (compiled)"
-    )
-
-
 def add_model(parser: argparse.ArgumentParser) -> None:
     """--model."""
     parser.add_argument(
         "--model", metavar="DIR", help="weights of the planner: a folder of your own (those of the package)"
-    )
-
-
-def budget(args: argparse.Namespace) -> Budget:
-    """The budget asked for; 10 s when nothing was."""
-    seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
-    return Budget(seconds=seconds, iterations=args.iterations)
-
-
-def planner_list(text: str) -> tuple[str, ...]:
-    """Names separated by commas; "all" is every planner."""
-    return (
-        tuple(PLANNERS) if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
     )
 
 

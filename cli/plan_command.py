@@ -6,9 +6,10 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from cli.options import add_budget, add_model, budget, writable_file
+from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
 from cli.plan_task import run_task
+from cli.planner_options import add_budget, budget
 from cli.robot_options import add_robot, robot_source
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify

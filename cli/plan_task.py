@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from cli.options import budget
+from cli.planner_options import budget
 from cli.show_options import show_task
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.table import planner_named

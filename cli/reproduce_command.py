@@ -4,7 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from cli.options import ProgressBar, add_budget, add_model, budget, planner_list, positive_int
+from cli.options import ProgressBar, add_model, positive_int
+from cli.planner_options import add_budget, budget, planner_list
 from cli.table_command import show_tables
 from cvqmpt_lab.methods.table import PLANNERS
 from experiments.run import Experiment, default_jobs, run_experiment
