@@ -160,8 +160,7 @@ def _legend(problem: PlanningProblem, solved: bool, ghosts: int) -> list[Label]:
     if solved or len(problem.goals):
         labels.append(Label("goal", GOAL_COLOUR))
     labels.append(Label("path of the hand", TRACE_COLOUR) if solved else Label("no path found"))
-    if problem.attachments:
-        labels.append(Label("carried: " + ", ".join(item.name for item in problem.attachments), LOAD_COLOUR))
+    labels += [Label(item.name.replace("_", " "), LOAD_COLOUR) for item in problem.attachments]
     return labels
 
 
