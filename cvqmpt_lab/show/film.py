@@ -32,7 +32,7 @@ FRAMES = 48  # of one path
 LOOKS = 6  # of its states that must be seen well
 RATE = 14  # frames a second
 REST = 10  # frames that the last one is shown for
-COLOURS = 128  # of a gif
+COLOURS, PALETTE_FRAMES = 128, 6  # of a gif, and the frames that they are chosen for
 
 
 def film_solution(
@@ -59,7 +59,7 @@ def _frames(solution: Solution, size: tuple[int, int], carried: Sequence[Attachm
     path = None if solution.simplified is None else solution.simplified.path
     states = problem.start[None] if path is None else path.spaced(path.length / FRAMES)
     arms = [joined(robot_meshes(problem, q, ROBOT_COLOUR)) for q in states[:: max(1, len(states) // LOOKS)]]
-    viewpoint = clear_viewpoint(arms, scene_meshes(problem, HIDDEN), size)
+    viewpoint = clear_viewpoint([joined(arms)], scene_meshes(problem, HIDDEN), size)
     stage = stage_of(problem, viewpoint, size)
     layers = [
         Layer(joined(robot_meshes(problem, states[-1], GOAL_COLOUR)), 0.35),
@@ -101,7 +101,8 @@ def save_film(frames: Sequence[np.ndarray], path: Path) -> None:
 
 
 def _write_gif(frames: Sequence[np.ndarray], path: Path) -> None:
-    palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(COLOURS)
+    some = frames[:: max(1, len(frames) // PALETTE_FRAMES)]
+    palette = Image.fromarray(np.concatenate(some)).quantize(COLOURS)
     first, *rest = (
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
     )

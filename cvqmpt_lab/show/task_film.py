@@ -43,7 +43,7 @@ def film_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 
     moving = moving_poses(scene.names, chosen)
     first = shown(chosen[0].world)
     arms = [joined(_arm(frame)) for frame in chosen[:: max(1, len(chosen) // LOOKS)]]
-    viewpoint = clear_viewpoint(arms, scene_meshes(first, HIDDEN), size)
+    viewpoint = clear_viewpoint([joined(arms)], scene_meshes(first, HIDDEN), size)
     stage = stage_of(first, viewpoint, size, (*HIDDEN, *moving))
     pictures = []
     for k, frame in enumerate(chosen):

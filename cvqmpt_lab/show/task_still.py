@@ -100,4 +100,4 @@ def draw_task(
 def _viewpoint(worlds: list[World], size: tuple[int, int]) -> Viewpoint:
     """One from which the arm is seen well in each of the worlds."""
     arms = [joined(robot_meshes(shown(world), world.q, ROBOT_COLOUR)) for world in worlds]
-    return clear_viewpoint(arms, scene_meshes(shown(worlds[-1]), HIDDEN), size)
+    return clear_viewpoint([joined(arms)], scene_meshes(shown(worlds[-1]), HIDDEN), size)
