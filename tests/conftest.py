@@ -1,6 +1,7 @@
 """Objects that several test files share; each is made once and must not be changed."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,22 @@ def slider_arm(slider_arm_urdf):
 def open_kitchen():
     """The kitchen of the place task, shelf door open."""
     return kitchen(door_angles={DOOR: DOOR_ANGLE})
+
+
+@pytest.fixture(scope="session")
+def published_states():
+    """Tensors of a checkpoint like the published ones, by part."""
+    from published_files import random_states  # torch takes 2 s to import
+
+    return random_states()
+
+
+@pytest.fixture
+def published(tmp_path, published_states):
+    """Writes folders like the published ones, with changes given as name=value, and returns them."""
+    from published_files import write_published
+
+    return partial(write_published, tmp_path, published_states)
 
 
 @pytest.fixture(scope="session")

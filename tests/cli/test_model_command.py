@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from published_files import STAGE1
 from small_models import random_checkpoint
-from test_published_checkpoint import STAGE1, published, states  # noqa: F401 (fixtures)
 
 from cli.main import main
 from cvqmpt_lab.codec import to_plain
@@ -73,7 +73,7 @@ def test_info_reads_mpnet_too(panda, tmp_path, capsys):
     assert "mpnet.safetensors" in found["parts"]
 
 
-def test_published_folders_are_converted_and_predict(panda, published, tmp_path, capsys):  # noqa: F811
+def test_published_folders_are_converted_and_predict(panda, published, tmp_path, capsys):
     dictionary_dir, ar_dir = published()
     out = tmp_path / "ours"
     words = ["model", "import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir, "--out", out]
@@ -123,8 +123,8 @@ def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
     assert "'rrt'; valid choices: vq-mpt, mpnet" in message
 
 
-def test_imports_that_fail_leave_nothing(published, states, tmp_path, capsys):  # noqa: F811
-    huge = states["decoder_state"] | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
+def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, capsys):
+    huge = published_states["decoder_state"] | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
     dictionary_dir, ar_dir = published(decoder_state=huge)
     words = ("import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir, "--out", tmp_path / "ours")
     assert "mu.0.bias has NaN or infinite values" in refused(capsys, *words)

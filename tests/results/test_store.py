@@ -87,7 +87,7 @@ def test_a_killed_process_loses_no_appended_row(tmp_path):
         "for i in range(3): store.append([a_row(f'p{i}', t_total_s=0.1 * i)])\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    command = [sys.executable, "-c", script, str(tmp_path), str(Path(__file__).parent)]
+    command = [sys.executable, "-c", script, str(tmp_path), str(Path(__file__).parents[1])]
     assert subprocess.run(command, check=False).returncode == -9
     with RunStore.open(tmp_path, CONFIGURATION) as store:
         assert store.rows() == [a_row(f"p{i}", t_total_s=0.1 * i) for i in range(3)]
