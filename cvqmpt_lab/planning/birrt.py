@@ -16,7 +16,8 @@ from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus, Tre
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 FIRST_CAPACITY = 4096  # nodes a tree has room for at first
-FIRST_BATCH, LARGEST_BATCH = 16, 256  # samples handed over at once: keeps the clock fine
+FIRST_BATCH, LARGEST_BATCH = 16, 256  # samples drawn at once
+BETWEEN_LOOKS = 16  # samples used between looks at the clock, where a budget has seconds
 
 
 @dataclass(frozen=True)
@@ -47,19 +48,20 @@ class BiRRT:
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
         began = time.perf_counter()
+        deadline = np.inf if budget.seconds is None else began + budget.seconds
         before = space.counters
-        trees = _plant(start, goals)
+        trees = kernels.plant(start, goals, FIRST_CAPACITY)
         status, path = PlanStatus.TIMEOUT, None
         used, batch = 0, FIRST_BATCH
         while path is None:
-            if budget.seconds is not None and time.perf_counter() - began >= budget.seconds:
+            if time.perf_counter() >= deadline:
                 break
             count = batch if budget.iterations is None else min(batch, budget.iterations - used)
             if count <= 0:
                 status = PlanStatus.ITERATION_LIMIT
                 break
             samples = distribution.sample(rng, count)
-            trees, path = self._use(space, trees, samples)
+            trees, path = self._use(space, trees, samples, deadline)
             used, batch = used + count, min(2 * batch, LARGEST_BATCH)
         return PlanResult(
             status=PlanStatus.SOLVED if path is not None else status,
@@ -73,43 +75,23 @@ class BiRRT:
             ),
         )
 
-    def _use(self, space: ConstrainedSpace, trees: kernels.Trees, samples: np.ndarray):
-        """Grow with one batch of samples; the trees, and a path that passed the fine check or None."""
+    def _use(self, space: ConstrainedSpace, trees: kernels.Trees, samples: np.ndarray, deadline: float):
+        """Grow with one batch until the deadline; the trees, and a path that passed the fine check or None."""
         arrays = space.arrays._replace(step=self.step)
+        most = len(samples) if deadline == np.inf else BETWEEN_LOOKS
         first = 0
-        while first < len(samples):
-            status, first = kernels.grow(arrays, trees, samples, first, self.extend_both, self.reach)
+        while first < len(samples) and time.perf_counter() < deadline:
+            part = samples[: first + most]
+            status, first = kernels.grow(arrays, trees, part, first, self.extend_both, self.reach)
             space.reraise()
             if status == kernels.FULL:
-                trees = _enlarged(trees)
+                trees = kernels.enlarged(trees)
             elif status == kernels.CONNECTED:
                 path = _checked_path(space, trees)
                 space.reraise()
                 if path is not None:
                     return trees, path
         return trees, None
-
-
-def _plant(start: np.ndarray, goals: np.ndarray) -> kernels.Trees:
-    """Trees with the start and the goals as roots."""
-    capacity = max(FIRST_CAPACITY, 4 * len(goals))
-    trees = kernels.Trees(
-        nodes=np.empty((2, capacity, len(start))),
-        parent=np.full((2, capacity), -1, dtype=np.int64),
-        size=np.array([1, len(goals)]),
-        meeting=np.zeros(2, dtype=np.int64),
-        turn=np.zeros(1, dtype=np.int64),
-    )
-    trees.nodes[0, 0] = start
-    trees.nodes[1, : len(goals)] = goals
-    return trees
-
-
-def _enlarged(trees: kernels.Trees) -> kernels.Trees:
-    """The same trees with twice the room."""
-    nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
-    parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
-    return trees._replace(nodes=nodes, parent=parent)
 
 
 def _checked_path(space: ConstrainedSpace, trees: kernels.Trees) -> Path | None:

@@ -21,6 +21,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.random_scenes import random_scene
 from experiments.bench.collision import STATES, bench_collision
+from experiments.bench.stages import bench_growth, bench_stages
 from experiments.bench.timing import Figure, calibration, single, spread, timed
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
@@ -104,8 +105,13 @@ def _plan_figures(name: str, cases: list[PlanningProblem]) -> list[Figure]:
 
 def _tuning_problems(count: int) -> list[PlanningProblem]:
     """Place-task problems whose environments are never reported."""
+    return [with_sampled_goals(problem)[0] for problem in _place_problems(count)]
+
+
+def _place_problems(count: int) -> Iterator[PlanningProblem]:
+    """The same, without their goals."""
     problems = (place_problem(environment) for environment in TUNING_ENVIRONMENTS[:count])
-    return [with_sampled_goals(problem)[0] for problem in problems if isinstance(problem, PlanningProblem)]
+    return (problem for problem in problems if isinstance(problem, PlanningProblem))
 
 
 def bench_unconstrained(problems: int) -> list[Figure]:
@@ -170,5 +176,7 @@ BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
     "kernels": lambda problems, states: bench_kernels(),
     "collision": lambda problems, states: bench_collision(_tuning_problems(1)[0], states),
     "planners": lambda problems, states: bench_planners(problems),
+    "stages": lambda problems, states: bench_stages(list(_place_problems(problems))),
+    "growth": lambda problems, states: bench_growth(_tuning_problems(1)[0]),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
 }

@@ -97,10 +97,7 @@ SIX = np.zeros((3, 6))
 )
 def test_six_joints_never_reach_a_kernel_of_seven(problem, call):
     space = ConstrainedSpace(problem)
-    nodes = np.zeros((2, 64, 7))
-    trees = tree_growth.Trees(
-        nodes, np.zeros((2, 64), np.int64), np.ones(2, np.int64), np.zeros(2, np.int64), np.zeros(1, np.int64)
-    )
+    trees = tree_growth.plant(problem.start, problem.goals, 64)
     with pytest.raises(InvalidInputError, match=r"7|n = 6"):
         call(space, trees)
 

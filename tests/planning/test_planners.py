@@ -3,6 +3,7 @@
 import gc
 import subprocess
 import sys
+import time
 import weakref
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
@@ -170,6 +171,20 @@ def test_trees_are_enlarged_when_full(problem):
     result = BiRRT(step=0.002).search(space, problem.start, problem.goals, uniform, ENOUGH, rng)
     assert max(len(tree.nodes) for tree in result.trees) > 4096
     assert certify(problem, result.path, clearance=False).valid
+
+
+@pytest.mark.parametrize("backend", ["compiled", "exact"])
+def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
+    """A hopeless search: the goal's tree cannot leave the ball of obstacles around it."""
+    space = ConstrainedSpace(problem, backend)
+    nowhere = problem.goals[:1] + 1e-3
+    uniform = Uniform(problem.robot.lower, problem.robot.lower + 0.3)
+    rng = np.random.default_rng(0)
+    planner = BiRRT(extend_both=False, reach=0.2)
+    began = time.perf_counter()
+    result = planner.search(space, problem.start, nowhere, uniform, Budget(seconds=0.5), rng)
+    assert result.status is PlanStatus.TIMEOUT and result.counters.iterations > 0
+    assert time.perf_counter() - began < 0.6
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,13 @@ import numpy as np
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.search.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
+from cvqmpt_lab.kernels.search.nearest import (
+    NearestIndex,
+    enlarged_index,
+    index_new_nodes,
+    nearest_index,
+    nearest_node,
+)
 from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS, Space
 
 GROWING, CONNECTED, FULL = range(3)
@@ -29,21 +36,31 @@ class Trees(NamedTuple):
     """The nodes that met when CONNECTED."""
     turn: Annotated[np.ndarray, "int64 1"]
     """Which tree extends first."""
+    nearest: NearestIndex
+    """For nearest nodes."""
 
 
-@kernel
-def nearest_node(nodes, size, target):
-    """Index of the row of nodes (capacity, n) closest to target (n,), among the first size."""
-    best, index = np.inf, 0
-    n = target.shape[0]
-    for i in range(size):
-        square = 0.0
-        for j in range(n):
-            difference = nodes[i, j] - target[j]
-            square += difference * difference
-        if square < best:
-            best, index = square, i
-    return index
+def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
+    """Trees with a start (n,) and goals (k, n) as roots, and room for capacity nodes each, at least 4 k."""
+    capacity = max(capacity, 4 * len(goals))
+    trees = Trees(
+        nodes=np.empty((2, capacity, len(start))),
+        parent=np.full((2, capacity), -1, dtype=np.int64),
+        size=np.array([1, len(goals)]),
+        meeting=np.zeros(2, dtype=np.int64),
+        turn=np.zeros(1, dtype=np.int64),
+        nearest=nearest_index(capacity, len(start)),
+    )
+    trees.nodes[0, 0] = start
+    trees.nodes[1, : len(goals)] = goals
+    return trees
+
+
+def enlarged(trees: Trees) -> Trees:
+    """The same trees with twice the room."""
+    nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
+    parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
+    return trees._replace(nodes=nodes, parent=parent, nearest=enlarged_index(trees.nearest, nodes.shape[1]))
 
 
 @kernel(inline="source")
@@ -108,7 +125,8 @@ def grow(space: Space, trees: Trees, samples: Annotated[np.ndarray, "count n"], 
             if stage == 2 and extend_both:
                 near = node_b
             else:
-                near = nearest_node(nodes[tree], size[tree], target)
+                index_new_nodes(trees.nearest, tree, nodes[tree], size[tree])
+                near = nearest_node(trees.nearest, tree, nodes[tree], size[tree], target)
             limit = reach if stage < 2 else np.inf
             node, met = extend(space, nodes[tree], parent[tree], size, tree, near, target, limit)
             if stage == 0:
