@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cvqmpt_lab.certificate import Certificate, certify
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.methods.method import Method, Stages
 from cvqmpt_lab.methods.table import planner_named, require_fit
+from cvqmpt_lab.planning.goals import sample_goals
 from cvqmpt_lab.planning.proposal import Observation
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
@@ -120,10 +120,8 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
         return problem, 0.0
     began = time.perf_counter()
     rng = np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64))
-    checker = problem.collision_checker(SAMPLE_MARGIN)
     held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
     near = problem.start if held else None
-    goals = sample_region(problem.robot, problem.goal_region, checker, rng, MAX_GOALS, within=held, near=near)
-    found = goals.configurations
+    found = sample_goals(problem, rng, MAX_GOALS, within=held, near=near).configurations
     kept = found[np.linalg.norm(problem.manifold.residual(found), axis=1) <= TOLERANCE]
     return problem.with_goals(kept if len(kept) else found), time.perf_counter() - began

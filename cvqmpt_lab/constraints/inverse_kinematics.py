@@ -11,6 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, stack_regions
 from cvqmpt_lab.kernels.manifold.projection import projection_scratch, reach_poses
+from cvqmpt_lab.kernels.manifold.regions import Regions
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 
@@ -35,13 +36,8 @@ def solve_poses(
     within: regions kept at the same time; that of a held handle puts its door where the hand is.
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
     """
-    there = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
-    regions = stack_regions(robot, (there, *within))
-    shape = (len(poses), attempts, robot.dof)
-    if near is None:
-        configurations = robot.random_configurations(rng, len(poses) * attempts).reshape(shape)
-    else:
-        configurations = near + NEAR * rng.standard_normal(shape)
+    regions = pose_regions(robot, within)
+    configurations = first_guesses(robot, rng, len(poses), attempts, near)
     reached = reach_poses(
         robot.kinematics,
         regions,
@@ -53,6 +49,22 @@ def solve_poses(
         projection_scratch(robot.dof, regions),
     )
     return [rows[iterations >= 0] for rows, iterations in zip(configurations, reached, strict=True)]
+
+
+def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Regions:
+    """A region that is one pose, to be written into its reference frame, and regions kept at the same time."""
+    there = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
+    return stack_regions(robot, (there, *within))
+
+
+def first_guesses(
+    robot: Robot, rng: np.random.Generator, poses: int, attempts: int, near: np.ndarray | None = None
+) -> np.ndarray:
+    """Configurations (poses, attempts, n) that Newton's method starts from; see `solve_poses`."""
+    shape = (poses, attempts, robot.dof)
+    if near is None:
+        return robot.random_configurations(rng, poses * attempts).reshape(shape)
+    return near + NEAR * rng.standard_normal(shape)
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ def sample_region(
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
-        poses = np.array([region.sample_pose(rng) for _ in range(min(POSES, max_poses - tried))])
+        poses = region.sample_poses(rng, min(POSES, max_poses - tried))
         for candidates in solve_poses(robot, poses, rng, within=within, near=near):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)

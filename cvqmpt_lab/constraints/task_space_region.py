@@ -91,25 +91,30 @@ class TaskSpaceRegion(Checked):
 
     def sample_pose(self, rng: np.random.Generator) -> np.ndarray:
         """A pose T_world_e (4, 4) drawn uniformly between the bounds; free entries stay at zero or +-pi."""
+        return self.sample_poses(rng, 1)[0]
+
+    def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Poses (count, 4, 4) as `sample_pose` would draw them one by one."""
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
             raise InvalidInputError(
                 "cannot sample poses of a region whose position is unbounded: bound Bw rows 0-2"
             )
         lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
-        x = rng.uniform(lower, upper)
-        for _ in range(1000):  # a rotation vector longer than pi would stand for another one
-            if np.linalg.norm(x[3:]) <= np.pi:
-                break
+        x = np.array([self._sample_displacement(rng, lower, upper) for _ in range(count)])
+        T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
+        T_w_displaced[:, :3, :3] = Rotation.from_rotvec(x[:, 3:]).as_matrix()
+        T_w_displaced[:, :3, 3] = x[:, :3]
+        return np.array([self.T0_w @ T @ self.Tw_e for T in T_w_displaced])
+
+    @staticmethod
+    def _sample_displacement(rng: np.random.Generator, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Position and rotation vector (6,) between bounds; a vector longer than pi would stand for another one."""
+        for _ in range(1000):
             x = rng.uniform(lower, upper)
-        else:
-            raise InvalidInputError(
-                "cannot sample poses of a region whose rotation bounds lie beyond angle pi"
-            )
-        T_w_displaced = np.eye(4)
-        T_w_displaced[:3, :3] = Rotation.from_rotvec(x[3:]).as_matrix()
-        T_w_displaced[:3, 3] = x[:3]
-        return self.T0_w @ T_w_displaced @ self.Tw_e
+            if np.linalg.norm(x[3:]) <= np.pi:
+                return x
+        raise InvalidInputError("cannot sample poses of a region whose rotation bounds lie beyond angle pi")
 
 
 def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
@@ -151,7 +156,7 @@ class RegionConstraint:
 
     def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Both, (m,) and (m, n) or (b, m) and (b, m, n)."""
-        batch = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
+        batch = np.array(q, dtype=float, order="C", ndmin=2)  # writable: one type, compiled once
         residual, jacobian = batch_residual_and_jacobian(self.robot.kinematics, self.regions(), batch, full)
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
 

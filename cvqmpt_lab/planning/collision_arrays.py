@@ -4,7 +4,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
+from cvqmpt_lab.kernels.collision.geometry import (
+    CELL,
+    RobotGeometry,
+    SceneGeometry,
+    robot_geometry,
+    scene_geometry,
+)
 from cvqmpt_lab.kernels.collision.point_clusters import Cloud
 from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, SPHERE
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
@@ -16,6 +22,8 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
 
 NO_VERTICES = np.empty((0, 3))
+MOST_CELLS = 256
+"""Of the distance grid, along an edge: a long reach has coarser cells instead of more memory."""
 
 
 @lru_cache(maxsize=8)
@@ -42,7 +50,8 @@ def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
         if isinstance(item.shape, PointCloud)
     ]
     specs = [spec for item in solids for spec in _specs(item.shape, item.T_world_object)]
-    return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), clouds=clouds)
+    cell = max(CELL, 2.0 * reach / MOST_CELLS)
+    return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
 
 
 def _cloud(cloud: PointCloud, T: np.ndarray, reach: float) -> Cloud:

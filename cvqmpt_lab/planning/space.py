@@ -123,7 +123,7 @@ class ConstrainedSpace:
     def valid(self, q: np.ndarray) -> bool:
         """Whether q (n,) is free of collision."""
         self._require_configuration(q)
-        answer = valid_one(self.bound, q)
+        answer = valid_one(self.bound, q if q.flags.writeable else q.copy())  # one type, compiled once
         self.reraise()
         return answer
 
