@@ -1,6 +1,6 @@
 """A problem to start from: robot, box, constraint, start and goal, with comments that say what else there is."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,10 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.task_space_region import ROWS_TEXT, RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.json_schema import FOLDER
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
@@ -21,6 +23,7 @@ from cvqmpt_lab.scene.shapes import Box
 TILT = 0.3  # [rad]
 DRAWS = 2000  # configurations looked at for a start and a goal
 APART = 0.3  # share of the robot's reach that start and goal are apart at least
+EFFORT = Budget(iterations=1000)  # of birrt, that a pair of them may take
 COMMENT = [
     "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment may stand anywhere.",
     "More configurations: `cvqmpt ik`. A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
@@ -48,10 +51,6 @@ def template(source: Mapping[str, Any]) -> dict[str, Any]:
     size, away = round(0.1 * robot.reach, 3), round(0.6 * robot.reach, 3)
     axis = _upper_axis(robot)
     scene = Scene("room", (SceneObject("box", Box((size, size, size)), pose((away, 0.0, size))),))
-    start, goal = _ends(robot, scene, RegionConstraint(robot, (upright(TILT / 2, axis),)))
-    T_world_goal = robot.pose(goal)
-    rpy = Rotation.from_matrix(T_world_goal[:3, :3]).as_euler("xyz")
-    at = {"xyz": T_world_goal[:3, 3].round(3).tolist(), "rpy": rpy.round(4).tolist()}
     box = {"_comment": SHAPES, "name": "box", "shape": {"type": "box", "size": [size] * 3}}
     plain = {
         "$schema": (FOLDER / "problem.schema.json").as_uri(),
@@ -61,15 +60,25 @@ def template(source: Mapping[str, Any]) -> dict[str, Any]:
         "robot": dict(source),
         "scene": {"name": "room", "objects": [{**box, "T_world_object": {"xyz": [away, 0.0, size]}}]},
         "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
-        "start": start.tolist(),
-        **(
-            {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
-            if robot.dof > 5
-            else {"goals": [goal.tolist()]}  # too few joints for poses around one
-        ),
     }
-    check_problem(PlanningProblem.from_dict(plain))
-    return plain
+    for start, goal in _ends(robot, scene, RegionConstraint(robot, (upright(TILT / 2, axis),))):
+        problem = {**plain, "start": start.tolist(), **_goal(robot, goal)}
+        if solve(PlanningProblem.from_dict(problem), "birrt", EFFORT, seed=0, clearance=False).solved:
+            return problem
+    raise InvalidInputError(
+        f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt and can be planned; "
+        "write a problem by hand, `cvqmpt problems new` for the panda shows how"
+    )
+
+
+def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
+    """The field that says where to: poses around one, or a configuration where joints are too few for that."""
+    if robot.dof <= 5:
+        return {"goals": [goal.tolist()]}
+    T_world_goal = robot.pose(goal)
+    rpy = Rotation.from_matrix(T_world_goal[:3, :3]).as_euler("xyz")
+    at = {"xyz": T_world_goal[:3, 3].round(3).tolist(), "rpy": rpy.round(4).tolist()}
+    return {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
 
 
 def _upper_axis(robot: Robot) -> str:
@@ -79,8 +88,8 @@ def _upper_axis(robot: Robot) -> str:
     return ("-" if up[k] < 0.0 else "") + "xyz"[k]
 
 
-def _ends(robot: Robot, scene: Scene, manifold: RegionConstraint) -> tuple[np.ndarray, np.ndarray]:
-    """Two configurations (n,) free of collision on the manifold, the end effector well apart."""
+def _ends(robot: Robot, scene: Scene, manifold: RegionConstraint) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of configurations (n,) free of collision on the manifold, the end effector well apart."""
     checker, rng = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN), np.random.default_rng(0)
     first = None
     for q in robot.random_configurations(rng, DRAWS):
@@ -93,8 +102,5 @@ def _ends(robot: Robot, scene: Scene, manifold: RegionConstraint) -> tuple[np.nd
         if first is None:
             first = landed
         elif np.linalg.norm((robot.pose(landed) - robot.pose(first))[:3, 3]) > APART * robot.reach:
-            return first, landed
-    raise InvalidInputError(
-        f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt among {DRAWS} draws; "
-        "write a problem by hand, `cvqmpt problems new` for the panda shows how"
-    )
+            yield first, landed
+            first = None
