@@ -131,7 +131,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}) or give --problem-file or --task-file, one of the three"
         )
-    robot = robot_source(args)
+    robot = robot_source(args, args.problem_file)
     if args.problem_file is not None:
         return PlanningProblem.load(args.problem_file, robot=robot)
     if robot:

@@ -5,8 +5,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.codec import mapping, to_plain
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.poses import Placement
 
 
@@ -49,14 +50,22 @@ def add_robot_options(robot: Any) -> None:
     )
 
 
-def robot_source(args: argparse.Namespace) -> dict[str, Any] | None:
-    """What a problem file would say of the robot of the command line; None without one."""
+def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> dict[str, Any] | None:
+    """What a problem file would say of the robot of the command line; None without one.
+
+    problem_file: whose robot options without --robot or --urdf speak of.
+    """
     options = robot_options(args)
     if args.robot is not None and args.urdf is not None:
         raise InvalidInputError(f"--robot {args.robot} and --urdf {args.urdf}: give one of the two")
     if args.robot is not None:
         return {"name": args.robot, **options}
     if args.urdf is None:
+        if options and problem_file is not None:
+            own = mapping(
+                read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot"
+            )
+            return {**own, **options, "locked": {**own.get("locked", {}), **options.get("locked", {})}}
         if options:
             raise InvalidInputError(
                 "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe the robot of "
@@ -67,7 +76,7 @@ def robot_source(args: argparse.Namespace) -> dict[str, Any] | None:
         raise InvalidInputError(
             f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot {args.urdf} suggests one"
         )
-    return {"urdf": str(args.urdf), **options}
+    return {"urdf": str(args.urdf.absolute()), **options}
 
 
 def robot_options(args: argparse.Namespace) -> dict[str, Any]:
@@ -76,9 +85,9 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     if args.end_effector is not None:
         options["end_effector"] = args.end_effector
     if args.srdf is not None:
-        options["srdf"] = str(args.srdf)
+        options["srdf"] = str(args.srdf.absolute())
     if args.package_dir:
-        options["package_dirs"] = [str(folder) for folder in args.package_dir]
+        options["package_dirs"] = [str(folder.absolute()) for folder in args.package_dir]
     if args.lock:
         options["locked"] = dict(_locked_joint(text) for text in args.lock)
     if args.base is not None:

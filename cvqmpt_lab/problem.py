@@ -39,6 +39,7 @@ from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.forms import Array, FloatArray, Name, OneOrMore, Schema
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.files.by_path import with_files_read
@@ -116,8 +117,9 @@ class PlanningProblem(Document):
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json with the clouds and meshes of its scene."""
-        return with_files_read(data, folder)
+        """Json with the clouds and meshes of its scene, and the robot's files as seen from the folder."""
+        data = with_files_read(data, folder)
+        return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
     def _check_regions(self) -> None:
         unique((item.name for item in self.attachments), f"attachments of problem {self.name!r}")

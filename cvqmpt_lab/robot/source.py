@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any
 
 from cvqmpt_lab.codec import from_plain, mapping
@@ -12,6 +13,7 @@ from cvqmpt_lab.robot.named import ARMS, FINGER_OPENING
 from cvqmpt_lab.robot.packages import example_robots
 
 ARTICULATED = "articulated"
+FILES = ("urdf", "srdf")
 WHERE = "robot"
 """How errors call field 'robot' of a problem file."""
 
@@ -99,6 +101,17 @@ class NamedRobot(RobotOptions):
             acceleration_limits=accelerations if given is None else given,
             base=self.base,
         )
+
+
+def seen_from(folder: Path, source: Any) -> Any:
+    """A robot's source whose relative paths are seen from a folder; what is no object is left to `read_source`."""
+    if not isinstance(source, Mapping):
+        return source
+    files = {name: str(folder / source[name]) for name in FILES if isinstance(source.get(name), str)}
+    folders = source.get("package_dirs")
+    if isinstance(folders, list) and all(isinstance(path, str) for path in folders):
+        files["package_dirs"] = [str(folder / path) for path in folders]
+    return {**source, **files}
 
 
 def read_source(source: Mapping[str, Any]) -> UrdfRobot:

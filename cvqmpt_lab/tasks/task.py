@@ -21,6 +21,7 @@ from cvqmpt_lab.documents import Document
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.forms import Array, FloatArray, Name
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.files.by_path import with_files_read
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Turn
@@ -67,8 +68,9 @@ class Task(Document):
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json with the clouds and meshes of its scene."""
-        return with_files_read(data, folder)
+        """Json with the clouds and meshes of its scene, and the robot's files as seen from the folder."""
+        data = with_files_read(data, folder)
+        return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
 
 def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:

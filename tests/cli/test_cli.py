@@ -327,14 +327,29 @@ def test_joints_are_locked(capsys, arm_file, slider_arm_urdf):
     assert main([str(word) for word in words]) == 0
 
 
+def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(
+    capsys, arm_file, slider_arm_urdf
+):
+    data = json.loads(arm_file.read_text())
+    (arm_file.parent / "arm.urdf").write_bytes(slider_arm_urdf.read_bytes())
+    data["robot"] = {"urdf": "arm.urdf", "end_effector": "tool", "locked": {"rail": data["start"][0]}}
+    data["start"], data["goals"] = data["start"][1:], [data["goals"][0][1:]]
+    arm_file.write_text(json.dumps(data))
+    words = ["plan", "--problem-file", str(arm_file), "--iterations", "20000"]
+    assert main(words) == 0
+    assert main([*words, "--acceleration", "2", "--trajectory", str(arm_file.parent / "t.csv")]) == 0
+    capsys.readouterr()
+    assert "robot slider_arm needs (2,)" in refused(capsys, *words, "--lock", "bend=0")
+
+
 @pytest.mark.parametrize(
     ("words", "found"),
     [
         (["--urdf", "URDF", "--end-effector", "nope"], "unknown end-effector frame 'nope'"),
         (["--urdf", "URDF"], "--end-effector FRAME"),
         (["--urdf", "/nope.urdf", "--end-effector", "tool"], "/nope.urdf"),
-        (["--end-effector", "tool"], "robot of --robot or --urdf"),
-        (["--lock", "rail=0"], "robot of --robot or --urdf"),
+        (["--end-effector", "nope"], "unknown end-effector frame 'nope'"),
+        (["--lock", "rail=0"], "robot slider_arm needs (3,)"),
         (["--urdf", "URDF", "--end-effector", "tool", "--lock", "nope=0"], "unknown joint to lock 'nope'"),
         (["--urdf", "URDF", "--end-effector", "tool", "--lock", "rail"], "JOINT=VALUE"),
         (["--urdf", "URDF", "--end-effector", "tool", "--lock", "rail=nan"], "finite number"),
