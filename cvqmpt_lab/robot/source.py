@@ -107,7 +107,9 @@ def seen_from(folder: Path, source: Any) -> Any:
     """A robot's source whose relative paths are seen from a folder; what is no object is left to `read_source`."""
     if not isinstance(source, Mapping):
         return source
-    files = {name: str(folder / source[name]) for name in FILES if isinstance(source.get(name), str)}
+    files: dict[str, Any] = {
+        name: str(folder / source[name]) for name in FILES if isinstance(source.get(name), str)
+    }
     folders = source.get("package_dirs")
     if isinstance(folders, list) and all(isinstance(path, str) for path in folders):
         files["package_dirs"] = [str(folder / path) for path in folders]
