@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from cli.options import positive_int
-from cvqmpt_lab.codec import from_plain, located, mapping
+from cvqmpt_lab.codec.documents import to_text
+from cvqmpt_lab.codec.plain import from_plain, located, mapping
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.documents import to_text
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import json_object, read_json_object
 from cvqmpt_lab.problem import PlanningProblem

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import load_any, save_checkpoint
 from cvqmpt_lab.models.published.checkpoint_import import import_published

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.codec.json_schema import FOLDER
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.task_space_region import ROWS_TEXT, RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.json_schema import FOLDER
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import mapping, to_plain
+from cvqmpt_lab.codec.plain import mapping, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.poses import Placement

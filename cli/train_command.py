@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from cli.options import ProgressBar, positive, positive_int
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance

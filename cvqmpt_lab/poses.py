@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.codec.forms import Array, FloatArray, Schema
+from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import Array, FloatArray, Schema
 
 ORTHONORMAL = 1e-6  # how far the columns of a rotation matrix may be from orthonormal
 MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
+from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.kernels.manifold.projection import project, projection_scratch
 from cvqmpt_lab.kernels.manifold.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.poses import Pose

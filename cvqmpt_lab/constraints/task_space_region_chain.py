@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import Name
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.forms import Name
 from cvqmpt_lab.robot.robot import Robot
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from torch import nn
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig

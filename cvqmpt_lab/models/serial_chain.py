@@ -5,8 +5,8 @@ from typing import Annotated
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import Array, FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import Array, FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.models.checkpoint import Checkpoint

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import differences
+from cvqmpt_lab.codec.plain import differences
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.files import read_json_object, write_text
 

@@ -15,7 +15,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import field_kinds, from_plain
+from cvqmpt_lab.codec.plain import field_kinds, from_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import read_text, write_text
 

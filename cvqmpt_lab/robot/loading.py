@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.codec import from_plain, mapping
+from cvqmpt_lab.codec.plain import from_plain, mapping
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.arrays import axis_frames, in_link, kinematics_arrays
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls

@@ -12,9 +12,9 @@ from typing import Annotated, Literal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.codec import Checked, to_plain
+from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name
+from cvqmpt_lab.codec.plain import Checked, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.forms import Array, FloatArray, Length, Name
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.arrays import axis_frames, kinematics_arrays
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from cvqmpt_lab.codec import from_plain, mapping
+from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
+from cvqmpt_lab.codec.plain import from_plain, mapping
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.named import ARMS, FINGER_OPENING
 from cvqmpt_lab.robot.packages import example_robots

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.forms import FloatArray
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from cvqmpt_lab.codec import Checked
-from cvqmpt_lab.forms import Name
+from cvqmpt_lab.codec.forms import Name
+from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.scene.shapes import Shape
 

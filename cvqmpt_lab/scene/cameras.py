@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.scene.rays import ray_interval, seen_corners
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 

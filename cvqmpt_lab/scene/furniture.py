@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.forms import FloatArray
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
 from cvqmpt_lab.scene.scene import Articulation, SceneObject

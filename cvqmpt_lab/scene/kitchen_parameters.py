@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.codec.forms import Length
+from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import Length
 
 WALL_CELLS = {"dagger": 2, "sektion": 3}
 """Cells of each row of wall cabinets, counted from its right end (-y)."""

@@ -9,8 +9,8 @@ from numbers import Integral
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere

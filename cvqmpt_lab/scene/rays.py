@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere, shape_vertices
 
 

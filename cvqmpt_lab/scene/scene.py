@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked, unique
+from cvqmpt_lab.codec.forms import FloatArray, Name
+from cvqmpt_lab.codec.plain import Checked, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.forms import FloatArray, Name
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import Shape
 

@@ -10,9 +10,9 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Tagged
+from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import Array, FloatArray, Length, Tagged
 from cvqmpt_lab.scene.extent import check_volume
 from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH
 

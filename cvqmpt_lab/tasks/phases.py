@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
-from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.codec.forms import Name, OneOrMore, Tagged
+from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
-from cvqmpt_lab.forms import Name, OneOrMore, Tagged
 from cvqmpt_lab.scene.attachment import Attachment
 
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from cvqmpt_lab.codec import located, unique
-from cvqmpt_lab.documents import Document
+from cvqmpt_lab.codec.documents import Document
+from cvqmpt_lab.codec.forms import Array, FloatArray, Name
+from cvqmpt_lab.codec.plain import located, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.forms import Array, FloatArray, Name
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.files.by_path import with_files_read

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose

@@ -22,7 +22,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from cvqmpt_lab.codec import differences
+from cvqmpt_lab.codec.plain import differences
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object, require_regular_file, write_bytes
 from cvqmpt_lab.models.tensors import load_tensors

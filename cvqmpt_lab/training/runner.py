@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
 from cvqmpt_lab.models.weights_folder import checkpoint_folder, weights_digest

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain

@@ -13,7 +13,7 @@ from published_files import STAGE1
 from small_models import random_checkpoint
 
 from cli.main import main
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion, stack_regions, upright
 from cvqmpt_lab.errors import InvalidInputError

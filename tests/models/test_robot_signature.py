@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.robot_signature import OtherRobotError, RobotSignature
 

@@ -8,7 +8,7 @@ import torch
 from small_models import METADATA, published_config, random_checkpoint, small_config
 from training_data import LOWER, UPPER, kinematics
 
-from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.robot_signature import RobotSignature

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.collision.checker import first_contact

@@ -13,7 +13,7 @@ import torch
 from training_data import kinematics, write_dataset
 
 from cli.main import main
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.models.compact.inference import CompactInference

@@ -7,7 +7,7 @@ import pytest
 import torch
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import SetAbstractionConfig
 from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import require_probability, require_sizes
 from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud

@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from cvqmpt_lab.codec import from_plain, located
+from cvqmpt_lab.codec.plain import from_plain, located
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object, require_regular_file
 from cvqmpt_lab.models import config as sizes

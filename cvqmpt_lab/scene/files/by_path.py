@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import from_plain, located
+from cvqmpt_lab.codec.plain import from_plain, located
 from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MeshFile
 from cvqmpt_lab.scene.shapes import ConvexMesh, PointCloud
 

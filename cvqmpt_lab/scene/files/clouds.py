@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.scene.files.columns import Column, numbers_in, three
 from cvqmpt_lab.scene.files.pcd import read_pcd
 from cvqmpt_lab.scene.files.ply import read_ply

@@ -15,7 +15,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
-from cvqmpt_lab.forms import FloatArray
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.extent import check_volume
 from cvqmpt_lab.scene.files.hulls import hull_of, of_few_vertices, spread_points
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from cvqmpt_lab.forms import FloatArray
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.extent import MIN_THICKNESS, thickness, thin_direction
 
 MOST_VERTICES = 120  # of a hull

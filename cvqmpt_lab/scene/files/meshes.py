@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.forms import FloatArray
 from cvqmpt_lab.scene.files.convex_pieces import convex_pieces
 from cvqmpt_lab.scene.files.reading import check_lengths, file_bytes, kind_of, parsing
 

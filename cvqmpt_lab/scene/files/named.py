@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from cvqmpt_lab.codec import Checked
-from cvqmpt_lab.forms import Length, Name
+from cvqmpt_lab.codec.forms import Length, Name
+from cvqmpt_lab.codec.plain import Checked
 
 
 @dataclass(frozen=True, eq=False)

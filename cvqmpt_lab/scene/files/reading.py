@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes
-from cvqmpt_lab.forms import FloatArray
 
 MOST_BYTES = 2**31  # of a file
 FARTHEST = 1000.0  # [m] that a coordinate may be from the origin

@@ -1,6 +1,6 @@
 """The json schemas that ship are those of the code, accept what the code writes, and refuse what it refuses.
 
-After a change of a field: `python -m tests.test_json_schema` writes them anew.
+After a change of a field: `python -m tests.codec.test_json_schema` writes them anew.
 """
 
 import json
@@ -8,10 +8,10 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.documents import to_text
+from cvqmpt_lab.codec.documents import to_text
+from cvqmpt_lab.codec.json_schema import FOLDER, schema_of
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.json_schema import FOLDER, schema_of
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.tasks.task import Task
 
@@ -55,7 +55,7 @@ def test_the_schemas_that_ship_are_those_of_the_code(name):
     schema = schema_of(KINDS[name])
     Draft202012Validator.check_schema(schema)
     assert json.loads((FOLDER / f"{name}.schema.json").read_text()) == schema, (
-        "python -m tests.test_json_schema"
+        "python -m tests.codec.test_json_schema"
     )
 
 

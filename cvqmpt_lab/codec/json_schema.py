@@ -10,10 +10,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cvqmpt_lab.codec import COMMENT, UNIONS, field_defaults, field_kinds
-from cvqmpt_lab.documents import EDITOR, Document
+from cvqmpt_lab.codec.documents import EDITOR, Document
+from cvqmpt_lab.codec.plain import COMMENT, UNIONS, field_defaults, field_kinds
 
-FOLDER = Path(__file__).parent / "schemas"
+FOLDER = Path(__file__).parents[1] / "schemas"
 """Where the schemas that ship are, `problem.schema.json` and `task.schema.json`."""
 
 SCALARS: Mapping[Any, dict[str, Any]] = {

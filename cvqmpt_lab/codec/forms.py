@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from cvqmpt_lab.codec import at, from_plain, mapping, to_plain
+from cvqmpt_lab.codec.plain import at, from_plain, mapping, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from cvqmpt_lab.codec import Checked, field_kinds, from_plain, located, mapping, to_plain
+from cvqmpt_lab.codec.plain import Checked, field_kinds, from_plain, located, mapping, to_plain
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.files import read_json_object, write_text
 

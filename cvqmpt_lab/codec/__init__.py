@@ -1,0 +1,1 @@
+"""Dataclasses to json and back: values, forms, files of their own, and json schemas."""
