@@ -61,7 +61,7 @@ def test_the_schemas_that_ship_are_those_of_the_code(name):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_what_the_code_writes_and_wrote_is_valid(name, request):
-    old = json.loads((request.path.parent / "data" / f"{name}-1.json").read_text())
+    old = json.loads((request.path.parents[1] / "data" / f"{name}-1.json").read_text())
     assert errors(name, old) == []
     assert errors(name, json.loads(to_text(KINDS[name].from_dict(old).to_dict()))) == []
 
