@@ -20,7 +20,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.scene.cameras import CameraSettings, DepthCamera
 from cvqmpt_lab.scene.kitchen import kitchen
-from experiments.rows import path_hash, result_row
+from experiments.rows import Run, path_hash, result_row
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)
@@ -133,7 +133,7 @@ def test_it_solves_a_place_problem(tuning, make):
     assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
     np.testing.assert_array_equal(solution.plan.path.states[0], tuning.start)
     assert (tuning.goals == solution.plan.path.states[-1]).all(axis=1).any()
-    row = result_row("suite", "mpnet", 0, "compiled", solution, 0.0)
+    row = result_row(Run("suite", 0, "mpnet", 0, ENOUGH), solution, goal_seconds=0.0)
     assert row.sampler_used == "mpnet, uniform" and row.n_projections > 0 and row.vertices > 0
     assert min(row.t_encode_s, row.t_predict_s, row.t_plan_s) > 0.0 and row.t_optimize_s is None
 

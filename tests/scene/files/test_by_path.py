@@ -20,7 +20,7 @@ def data(problem, tmp_path):
     """Json of a problem with a cloud and a ring of several pieces; the files lie in a folder beside."""
     (tmp_path / "parts").mkdir()
     np.save(tmp_path / "parts" / "scan.npy", POINTS)
-    trimesh.creation.annulus(40.0, 45.0, 100.0).export(tmp_path / "parts" / "ring.stl")
+    trimesh.creation.annulus(40.0, 45.0, 100.0, sections=8).export(tmp_path / "parts" / "ring.stl")
     trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "parts" / "box.obj")
     plain = problem.to_dict()
     plain["scene"] = {

@@ -4,10 +4,10 @@ import os
 
 import numpy as np
 import pytest
+from cloud_files import GOOD, POINTS, npy, pcd, ply, xyz
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.scene.files.clouds import read_cloud
-from tests.cloud_files import GOOD, POINTS, npy, pcd, ply, xyz
 
 
 @pytest.mark.parametrize("name", GOOD)

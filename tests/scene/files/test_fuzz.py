@@ -6,11 +6,11 @@ import time
 import numpy as np
 import pytest
 import trimesh
+from cloud_files import GOOD
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.files.clouds import read_cloud
 from cvqmpt_lab.scene.files.meshes import read_triangles
-from tests.cloud_files import GOOD
 
 SLOWEST = 2.0  # [s] for one small file on a busy machine
 MEMORY = 400 * 2**20  # [bytes] that the process may grow by
