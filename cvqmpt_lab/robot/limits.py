@@ -16,17 +16,14 @@ PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2], dat
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Largest speed and acceleration of each joint, both directions alike.
-
-    Attributes
-    ----------
-    joint_names: n names, for messages.
-    velocity: (n,) [rad/s or m/s]. acceleration: (n,) [rad/s^2 or m/s^2].
-    """
+    """Largest speed and acceleration of each joint, both directions alike."""
 
     joint_names: tuple[str, ...]
+    """n names, for messages."""
     velocity: np.ndarray
+    """(n,) [rad/s or m/s]."""
     acceleration: np.ndarray
+    """(n,) [rad/s^2 or m/s^2]."""
 
     def __post_init__(self) -> None:
         for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
