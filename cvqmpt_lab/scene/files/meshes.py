@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ def read_triangles(path: Path) -> FloatArray:
     kind = KINDS[kind_of(path, KINDS, "mesh")]
     data = file_bytes(path, "mesh")
     with parsing(path, "mesh"):
-        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
+        mesh = trimesh.load_mesh(io.BytesIO(CLEANED[kind](data)), file_type=kind, process=False)
         vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if len(faces) == 0:
@@ -59,6 +59,27 @@ def read_triangles(path: Path) -> FloatArray:
         if not np.isfinite(corners).all():
             raise InvalidInputError("a corner of a triangle is not finite")
         return _metres(data) * corners if kind == "dae" else corners
+
+
+def _as_utf8(data: bytes) -> bytes:
+    """Text whose comments and names may be in another encoding."""
+    return data.decode("utf-8", errors="replace").encode()
+
+
+def _as_stl(data: bytes) -> bytes:
+    """Binary triangles, as many as the header says, or text."""
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) >= 84 and len(data) == 84 + 50 * count:
+        return data
+    if data.lstrip()[:5].lower() == b"solid":
+        return _as_utf8(data)
+    raise InvalidInputError(
+        f"as a binary STL it has {count} triangles in {84 + 50 * count} bytes, the file has {len(data)}: cut short?"
+    )
+
+
+CLEANED: Mapping[str, Callable[[bytes], bytes]] = {"stl": _as_stl, "obj": _as_utf8, "dae": bytes}
+"""What is checked or mended before the parser sees a file."""
 
 
 def _metres(data: bytes) -> float:

@@ -103,9 +103,15 @@ BAD = {
     "nan.obj": (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "finite|parse|could not"),
     "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
     "points.obj": (b"v 0 0 0\nv 1 0 0\n", "obj"),
-    "empty.stl": (b"", "stl"),
-    "billion.stl": (bytes(80) + (10**9).to_bytes(4, "little") + bytes(50), "stl"),
-    "cut.stl": (box((1, 1, 1)).export(file_type="stl")[:-70], "stl"),
+    "empty.stl": (b"", "cut short"),
+    "billion.stl": (
+        bytes(80) + (10**9).to_bytes(4, "little") + bytes(50),
+        "has 1000000000 triangles in 50000000084 bytes, the file has 134",
+    ),
+    "cut.stl": (
+        box((1, 1, 1)).export(file_type="stl")[:-70],
+        "has 12 triangles in 684 bytes, the file has 614: cut short",
+    ),
     "page.dae": (b"<!DOCTYPE html><html></html>", "dae"),
     "none.dae": (b"<?xml version='1.0'?><COLLADA version='1.4.1'/>", "dae"),
 }
@@ -118,6 +124,12 @@ def test_bad_meshes_are_refused_by_name_in_one_line(name, tmp_path):
     with pytest.raises(InvalidInputError, match=message) as caught:
         read_mesh(tmp_path / name)
     assert "\n" not in str(caught.value) and name in str(caught.value)
+
+
+def test_names_in_another_encoding_do_not_matter(tmp_path):
+    data = box((0.1, 0.2, 0.3)).export(file_type="obj").encode()
+    (tmp_path / "a.obj").write_bytes("# Größe in Metern\n".encode("latin-1") + data)
+    assert len(read_mesh(tmp_path / "a.obj")) == 1
 
 
 def test_another_kind_of_mesh_is_refused(tmp_path):
