@@ -18,7 +18,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planning.result import Path as JointPath
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.table import SUITES, suite_named

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.constraints.between_states import largest_violation
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.motion_proof import MotionProof, prove_free
@@ -71,7 +71,7 @@ class Certificate:
 
 
 def certify(
-    problem: PlanningProblem, path: Path, checker: CollisionChecker | None = None, clearance: bool = True
+    problem: PlanningProblem, path: JointPath, checker: CollisionChecker | None = None, clearance: bool = True
 ) -> Certificate:
     """Judge every state of a path: collision, limits, constraint; and its step size, start and goal."""
     checker = checker or problem.collision_checker()
@@ -105,7 +105,7 @@ def _unusable(problem: PlanningProblem, states: np.ndarray) -> str | None:
     return None if np.isfinite(states).all() else "a state is not finite"
 
 
-def _end_faults(problem: PlanningProblem, path: Path) -> list[Fault]:
+def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     faults = []
     if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE:
         faults.append(Fault(FaultKind.START, "does not begin at the start"))
@@ -117,7 +117,7 @@ def _end_faults(problem: PlanningProblem, path: Path) -> list[Fault]:
     return faults if at_goal else [*faults, Fault(FaultKind.GOAL, "does not end at a goal")]
 
 
-def _motion_faults(problem: PlanningProblem, path: Path) -> list[Fault]:
+def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     faults = []
     largest = np.linalg.norm(np.diff(path.states, axis=0), axis=1).max(initial=0.0)
     if largest > LARGEST_STEP:

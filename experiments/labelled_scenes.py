@@ -8,7 +8,7 @@ import numpy as np
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -31,7 +31,7 @@ CANDIDATES = 512  # configurations drawn per scene to choose starts and goals fr
 class _Label:
     """A path of one scene."""
 
-    path: Path
+    path: JointPath
     trivial: bool
     """The straight line is free."""
     twin_of: int
@@ -160,7 +160,11 @@ def _labels(
                 break
         else:
             continue
-        path = Path(np.array([start, goal])) if trivial else near_shortest(space, start, goal, rng, settings)
+        path = (
+            JointPath(np.array([start, goal]))
+            if trivial
+            else near_shortest(space, start, goal, rng, settings)
+        )
         if path is None:
             continue
         nearly = path.length < DETOUR * np.linalg.norm(goal - start)

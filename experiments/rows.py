@@ -10,7 +10,7 @@ import numpy as np
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.phase_name import phase_problem
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line
@@ -119,7 +119,7 @@ def _defined(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def path_hash(path: Path) -> str:
+def path_hash(path: JointPath) -> str:
     """sha256 of the states' bytes: equal for bit-for-bit equal paths."""
     return hashlib.sha256(np.ascontiguousarray(path.states, dtype=np.float64).tobytes()).hexdigest()
 

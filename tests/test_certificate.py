@@ -8,7 +8,7 @@ import pytest
 from cvqmpt_lab.certificate import LARGEST_STEP, TOLERANCE, certify
 from cvqmpt_lab.constraints.between_states import evenly_spaced
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
@@ -21,17 +21,17 @@ def states(solution):
 
 
 def reasons(problem, states):
-    return certify(problem, Path(states), clearance=False).reasons
+    return certify(problem, JointPath(states), clearance=False).reasons
 
 
 def test_a_planned_path_is_accepted(problem, solution, states):
-    certificate = certify(problem, Path(states))
+    certificate = certify(problem, JointPath(states))
     assert certificate.valid and certificate.reasons == ()
     assert 0.0 <= certificate.max_violation_rad <= TOLERANCE and certificate.max_violation_m == 0.0
     assert certificate.min_clearance_m > 0.0
     assert 10 < certificate.states_checked < solution.simplified.path.length / 0.01
     assert certificate.unproven_rad == 0.0
-    assert np.isnan(certify(problem, Path(states), clearance=False).min_clearance_m)
+    assert np.isnan(certify(problem, JointPath(states), clearance=False).min_clearance_m)
 
 
 def sampled_collisions(checker, states, spacing):
@@ -49,7 +49,7 @@ def test_what_sampling_finds_the_proof_finds_and_more(problem, states):
         ball = SceneObject("speck", Sphere(2e-4), T)
         speckled = replace(problem, scene=problem.scene.with_objects(ball))
         sampled = sampled_collisions(speckled.collision_checker(), states, 0.01)
-        proof = certify(speckled, Path(states), clearance=False)
+        proof = certify(speckled, JointPath(states), clearance=False)
         assert proof.valid or any("in collision" in reason for reason in proof.reasons)
         assert not (sampled and proof.valid)
         if proof.valid:
@@ -76,7 +76,7 @@ def test_an_obstacle_on_the_way_is_named(problem, states):
     ball = SceneObject("ball", Sphere(0.02), middle)
     blocked = replace(problem, scene=problem.scene.with_objects(ball))
     assert [r for r in reasons(blocked, states) if r.startswith("in collision: panda_") and "ball" in r]
-    assert certify(blocked, Path(states[:2])).min_clearance_m > 0.0
+    assert certify(blocked, JointPath(states[:2])).min_clearance_m > 0.0
 
 
 def test_a_collision_between_the_states_is_found(problem, states):
@@ -96,7 +96,7 @@ def test_leaving_the_manifold_is_measured(problem, states):
     """Joint 7 turns the hand about its approach axis: a tilt."""
     middle = len(states) // 2
     states[middle : middle + 3, 6] -= 0.3
-    certificate = certify(problem, Path(states), clearance=False)
+    certificate = certify(problem, JointPath(states), clearance=False)
     assert certificate.max_violation_rad > 0.05
     assert any(reason.startswith("off the manifold by") for reason in certificate.reasons)
 
@@ -104,7 +104,7 @@ def test_leaving_the_manifold_is_measured(problem, states):
 def test_the_measured_violation_is_the_residual(problem, states):
     off = problem.robot.random_configurations(np.random.default_rng(0), 30)
     for q in off:
-        certificate = certify(problem, Path(np.array([q, q])), clearance=False)
+        certificate = certify(problem, JointPath(np.array([q, q])), clearance=False)
         expected = np.abs(problem.manifold.residual(q)).max()
         assert certificate.max_violation_rad == pytest.approx(expected, abs=1e-9)
 
@@ -144,13 +144,13 @@ def test_dropped_states_are_a_jump(problem, states):
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_states_that_are_not_finite_are_rejected(problem, states, bad):
     states[3, 2] = bad
-    certificate = certify(problem, Path(states))
+    certificate = certify(problem, JointPath(states))
     assert not certificate.valid and certificate.reasons == ("a state is not finite",)
 
 
 @pytest.mark.parametrize("shape", [(0, 7), (3, 6), (7,)])
 def test_paths_of_another_shape_are_rejected(problem, shape):
-    assert not certify(problem, Path(np.zeros(shape))).valid
+    assert not certify(problem, JointPath(np.zeros(shape))).valid
 
 
 def test_all_reasons_are_given(problem):

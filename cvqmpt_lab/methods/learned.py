@@ -6,7 +6,7 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Path, Timings
+from cvqmpt_lab.planning.result import JointPath, Timings
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
 from cvqmpt_lab.prediction.collision_head import free_probability
@@ -106,7 +106,7 @@ def _checkpoint(weights: Weights) -> Checkpoint | MPNetCheckpoint:
     return LOADERS[weights.kind](folder)
 
 
-LOADERS: dict[str, Callable[[FilePath], Checkpoint | MPNetCheckpoint]] = {
+LOADERS: dict[str, Callable[[Path], Checkpoint | MPNetCheckpoint]] = {
     "vq_mpt": load_checkpoint,
     "mpnet": load_mpnet,
 }
@@ -228,7 +228,7 @@ def true_codes(name: str) -> Build:
         means, covariances = dictionary_gaussians(_vq_mpt(weights), robot)
         share = PredictorSettings().uniform_share
 
-        def suggest(query: Query, path: Path) -> SamplingDistribution:
+        def suggest(query: Query, path: JointPath) -> SamplingDistribution:
             codes = np.unique(codes_of(_vq_mpt(weights), robot, path.spaced(0.2)))
             return GaussianMixture.equal(means[codes], covariances[codes], query.uniform, share, name)
 

@@ -22,7 +22,7 @@ from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Path, PlanStatus, Timings
+from cvqmpt_lab.planning.result import JointPath, PlanStatus, Timings
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -59,7 +59,7 @@ class Rollout:
     """(k, n) [rad or m]."""
     meeting: int
     """Row after which the other side's states come."""
-    joint: Path | None
+    joint: JointPath | None
     """The motion between the two states that meet, if it is known."""
 
 
@@ -117,7 +117,7 @@ class _Run:
     predict_seconds: float = 0.0
     vertices: int = 0
 
-    def attempt(self, start: np.ndarray, goal: np.ndarray) -> Path | None:
+    def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
         """The path through one rollout, or None."""
         rollout = self._rollout(start, goal)
         return None if rollout is None else self._path(rollout)
@@ -158,7 +158,7 @@ class _Run:
                 return q
         return None
 
-    def _path(self, rollout: Rollout) -> Path | None:
+    def _path(self, rollout: Rollout) -> JointPath | None:
         """Join every two neighbouring states, directly or by tree growth; None as soon as one pair fails."""
         motions = []
         for i, (a, b) in enumerate(pairwise(rollout.states)):
@@ -167,9 +167,9 @@ class _Run:
             if motion is None:
                 return None
             motions.append(motion.states if i == 0 else motion.states[1:])
-        return Path(np.concatenate(motions))
+        return JointPath(np.concatenate(motions))
 
-    def _grown(self, a: np.ndarray, b: np.ndarray) -> Path | None:
+    def _grown(self, a: np.ndarray, b: np.ndarray) -> JointPath | None:
         """A path from a to b (n,) by tree growth within its share of the budget."""
         if self.query.allowance.spent():
             return None

@@ -4,7 +4,7 @@ import math
 import time
 
 from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS
-from cvqmpt_lab.planning.result import Budget, Counters, Path, PlanResult, PlanStatus
+from cvqmpt_lab.planning.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 LEAST_SECONDS = 1e-3
@@ -58,6 +58,6 @@ class Allowance:
         """Work done so far."""
         return self._space.counters_since(self._counters)
 
-    def ended(self, status: PlanStatus, sampler: str, path: Path | None = None) -> PlanResult:
+    def ended(self, status: PlanStatus, sampler: str, path: JointPath | None = None) -> PlanResult:
         """The result of a run that stops here, without a tree."""
         return PlanResult(status, path, self.seconds, self.counters, 0, sampler)

@@ -9,7 +9,7 @@ from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.planning.simplify import simplify
 
 
@@ -24,7 +24,7 @@ class AroundPath:
     spacing: float = 0.5
     """Between waypoints along a path [rad]."""
 
-    def mixture(self, query: Query, *paths: Path) -> SamplingDistribution:
+    def mixture(self, query: Query, *paths: JointPath) -> SamplingDistribution:
         """The distribution around paths."""
         means = np.concatenate([path.spaced(self.spacing) for path in paths])
         covariance = self.std**2 * np.eye(means.shape[1])
@@ -41,7 +41,7 @@ class StraightLine:
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Propose; nothing is checked."""
-        lines = [Path(np.stack([query.start, goal])) for goal in query.nearest_goals(self.goals)]
+        lines = [JointPath(np.stack([query.start, goal])) for goal in query.nearest_goals(self.goals)]
         return Proposal(self.around.mixture(query, *lines))
 
 
@@ -49,7 +49,7 @@ class StraightLine:
 class UnconstrainedPath:
     """What an unconstrained path, planned and paid for first, suggests: the honest rival of learned samplers."""
 
-    suggest: Callable[[Query, Path], SamplingDistribution]
+    suggest: Callable[[Query, JointPath], SamplingDistribution]
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Plan without the constraint, shorten, suggest."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.kernels.search import tree_growth as kernels
-from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus, Tree
+from cvqmpt_lab.planning.result import Budget, JointPath, PlanResult, PlanStatus, Tree
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 FIRST_CAPACITY = 4096  # nodes a tree has room for at first
@@ -22,20 +22,15 @@ BETWEEN_LOOKS = 16  # samples used between looks at the clock, where a budget ha
 
 @dataclass(frozen=True)
 class BiRRT:
-    """Bidirectional tree growth on the manifold.
-
-    Attributes
-    ----------
-    extend_both: both trees walk to the sample before they are connected, as in Algorithm 3; otherwise
-        the second tree walks to where the first one stopped, as in CBiRRT.
-    step: between neighbouring nodes [rad]; a found path is then mended to the space's own step.
-    reach: longest walk towards a sample [rad]; connecting walks are not limited. Chosen on the tuning
-        environments, see docs/performance.md.
-    """
+    """Bidirectional tree growth on the manifold."""
 
     extend_both: bool = True
+    """Both trees walk to the sample before they are connected, as in Algorithm 3; otherwise the second tree walks to
+    where the first one stopped, as in CBiRRT."""
     step: float = 0.15
+    """Between neighbouring nodes [rad]; a found path is then mended to the space's own step."""
     reach: float = 1.0
+    """Longest walk towards a sample [rad], connecting walks apart; chosen on the tuning environments."""
 
     def search(
         self,
@@ -94,7 +89,7 @@ class BiRRT:
         return trees, None
 
 
-def _checked_path(space: ConstrainedSpace, trees: kernels.Trees) -> Path | None:
+def _checked_path(space: ConstrainedSpace, trees: kernels.Trees) -> JointPath | None:
     """The path through the meeting nodes, or None after cutting its first grazing motion out."""
     capacity = int(trees.size.sum())
     states = np.empty((capacity, trees.nodes.shape[2]))

@@ -3,14 +3,14 @@
 import numpy as np
 
 from cvqmpt_lab.kernels.search.motion import DEVIATION, bisect_motion
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 COARSE_STEP = 0.15
 """Between neighbouring states of the first look [rad], as in `BiRRT`; the path is then mended to the space's step."""
 
 
-def direct_motion(space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray) -> Path | None:
+def direct_motion(space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray) -> JointPath | None:
     """The motion from origin to target (n,), both on the manifold, or None when there is none.
 
     Projected midpoints from coarse to fine, so that most failures cost a few states; a motion more than

@@ -11,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
@@ -41,19 +41,16 @@ class Spheroid:
 
 @dataclass(frozen=True)
 class NearShortestSettings:
-    """How hard to try.
-
-    Attributes
-    ----------
-    restarts: searches after the first path. first, later: iterations that the first search may take (tried
-        twice) and each restart.
-    finish: attempts to shorten the best path in the end.
-    """
+    """How hard to try."""
 
     restarts: int = 12
+    """Searches after the first path."""
     first: int = 1500
+    """Iterations that the first search may take; it is tried twice."""
     later: int = 200
+    """Iterations that each restart may take."""
     finish: int = 512
+    """Attempts to shorten the best path in the end."""
 
 
 def near_shortest(
@@ -62,11 +59,11 @@ def near_shortest(
     goal: np.ndarray,
     rng: np.random.Generator,
     settings: NearShortestSettings | None = None,
-) -> Path | None:
+) -> JointPath | None:
     """The shortest free path (on the manifold) found from start to goal (n,), or None when none was found."""
     settings = settings or NearShortestSettings()
     trees, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
-    best: Path | None = None
+    best: JointPath | None = None
     tries = 0
     while tries < (settings.restarts + 1 if best else 2):
         tries += 1

@@ -16,7 +16,7 @@ from ompl import util as ou
 
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS, NEWTON_ITERATIONS
-from cvqmpt_lab.planning.result import Budget, Path, PlanResult, PlanStatus
+from cvqmpt_lab.planning.result import Budget, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
@@ -137,7 +137,7 @@ class _Run:
     def _read(self, state) -> np.ndarray:
         return np.array([state[i] for i in range(self._space.robot.dof)])
 
-    def run(self, budget: Budget, began: float) -> tuple[PlanStatus, Path | None]:
+    def run(self, budget: Budget, began: float) -> tuple[PlanStatus, JointPath | None]:
         """Search until a path passes the fine check or the budget is spent; grazing paths are searched anew."""
         steps = 0
 
@@ -167,7 +167,7 @@ class _Run:
         self._planner.getPlannerData(data)
         return data.numVertices()
 
-    def _dense_path(self) -> Path | None:
+    def _dense_path(self) -> JointPath | None:
         """The solution walked along the manifold at DELTA spacing, every state projected."""
         solution = self._problem.getSolutionPath()
         solution.interpolate()

@@ -11,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Path, PlanStatus, Timings
+from cvqmpt_lab.planning.result import JointPath, PlanStatus, Timings
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Proposal:
     """Why this is not what the method's name promises, or ""."""
     vertices: int = 0
     """Nodes of searches made on the way."""
-    path: Path | None = None
+    path: JointPath | None = None
     """On the manifold and free; the search then has nothing left to do."""
     failure: PlanStatus | None = None
     """Why searching is pointless, or None."""

@@ -48,17 +48,14 @@ class Counters:
 
 @dataclass(frozen=True)
 class Timings:
-    """Parts of a planning run that are not search [s]; None where a planner has no such part.
-
-    Attributes
-    ----------
-    encode: from the point cloud to what the network keeps of it.
-    predict: from start and goals to configurations or distributions. optimize: moving those.
-    """
+    """Parts of a planning run that are not search [s]; None where a planner has no such part."""
 
     encode: float | None = None
+    """From the point cloud to what the network keeps of it."""
     predict: float | None = None
+    """From start and goals to configurations or distributions."""
     optimize: float | None = None
+    """Moving those towards the constraint."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -72,7 +69,7 @@ class Timings:
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class JointPath:
     """A motion: straight joint segments between states (m, n), m >= 2 [rad or m]."""
 
     states: np.ndarray
@@ -88,42 +85,38 @@ class Path:
         marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
         return np.stack([np.interp(marks, along, joint) for joint in self.states.T], axis=1)
 
-    def reversed(self) -> "Path":
-        """The same motion backwards."""
-        return Path(self.states[::-1].copy())
-
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Nodes (k, n) and the index of each one's parent (k,), -1 for roots."""
+    """What a search has grown from a root or several."""
 
     nodes: np.ndarray
+    """(k, n) [rad or m]."""
     parent: np.ndarray
+    """(k,) index of each node's parent, -1 for roots."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """Outcome of one planner run; path is None unless status is SOLVED.
-
-    Attributes
-    ----------
-    seconds: wall time of the whole run, networks included. vertices: nodes in all trees. sampler: name of the
-        distribution used.
-    detail: one line more, e.g. about a failure, or "".
-    fallback: why the path did not come the way the planner's name promises, or "".
-    timings: which of the seconds were not search.
-    """
+    """Outcome of one planner run."""
 
     status: PlanStatus
-    path: Path | None
+    path: JointPath | None
+    """None unless the status is SOLVED."""
     seconds: float
+    """Wall time of the whole run, networks included."""
     counters: Counters
     vertices: int
+    """Nodes in all trees."""
     sampler: str
+    """Name of the distribution used."""
     trees: tuple[Tree, ...] = field(default=())
     detail: str = ""
+    """A few words more, e.g. about a failure, or ""."""
     fallback: str = ""
+    """What found the path if not what the planner's name promises, and why, or ""."""
     timings: Timings = field(default_factory=Timings)
+    """Which of the seconds were not search."""
 
     @property
     def search_seconds(self) -> float:

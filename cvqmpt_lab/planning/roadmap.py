@@ -7,7 +7,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search import lazy_roadmap as kernels
 from cvqmpt_lab.planning.allowance import Allowance
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 LONGEST_PATH = 256  # nodes
@@ -105,7 +105,7 @@ class RoadmapQuery:
         self._count, self._left, self.searches = count, settings.searches, 0
         kernels.link_query(self._graph, settings.direct, np.empty(links, dtype=np.int32), np.empty(links))
 
-    def next_path(self, allowance: Allowance, check: bool = True) -> tuple[Path | None, np.ndarray]:
+    def next_path(self, allowance: Allowance, check: bool = True) -> tuple[JointPath | None, np.ndarray]:
         """The shortest path left, on the manifold and free, and the rows of its nodes; None when there is none.
 
         check: otherwise nothing is projected or checked. Each search counts as an iteration of the allowance.
@@ -122,11 +122,13 @@ class RoadmapQuery:
             allowance.count(searched)
             self.searches += searched
             if size != kernels.NO_PATH:
-                found, bad = self._space.checked_path(states[:size]) if check else (Path(states[:size]), -1)
+                found, bad = (
+                    self._space.checked_path(states[:size]) if check else (JointPath(states[:size]), -1)
+                )
                 if found is not None:
                     rows = path[1 : length - 1][::-1].copy()
                     self._graph.factor[rows] *= self._settings.detour
-                    return Path(found.states.copy()), rows
+                    return JointPath(found.states.copy()), rows
                 kernels.block_state(self._graph, path, ends, length, bad)
             elif searched < most:
                 break

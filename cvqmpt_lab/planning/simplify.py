@@ -7,7 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search.shortcut import shortcut
-from cvqmpt_lab.planning.result import Counters, Path
+from cvqmpt_lab.planning.result import Counters, JointPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 ROUND = 16  # shortcuts tried between looks at the clock
@@ -35,7 +35,7 @@ class SimplifySettings:
 class Simplified:
     """A shorter path and what it took."""
 
-    path: Path
+    path: JointPath
     """The shorter path."""
     seconds: float
     """Wall time [s]."""
@@ -45,7 +45,7 @@ class Simplified:
 
 def simplify(
     space: ConstrainedSpace,
-    path: Path,
+    path: JointPath,
     rng: np.random.Generator,
     settings: SimplifySettings | None = None,
 ) -> Simplified:
@@ -70,7 +70,9 @@ def simplify(
         count = shortcut(space.arrays, states, count, picks, detour)
         space.reraise()
         tried += len(picks)
-        shorter = Path(states[:count]).length
+        shorter = JointPath(states[:count]).length
         stale = stale + 1 if shorter > (1.0 - settings.gain) * length else 0
         length = shorter
-    return Simplified(Path(states[:count].copy()), time.perf_counter() - began, space.counters_since(before))
+    return Simplified(
+        JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before)
+    )

@@ -13,7 +13,7 @@ from cvqmpt_lab.kernels.search import space_arrays as kernels
 from cvqmpt_lab.kernels.search.motion import refine_and_check
 from cvqmpt_lab.kernels.search.single_state import BoundSpace, bind, constraint_one, project_one, valid_one
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
-from cvqmpt_lab.planning.result import Counters, Path
+from cvqmpt_lab.planning.result import Counters, JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.exact_shapes import reach_with
@@ -149,7 +149,7 @@ class ConstrainedSpace:
                 f"given: {q.shape} of {q.dtype}"
             )
 
-    def checked_path(self, states: np.ndarray) -> tuple[Path | None, int]:
+    def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
         """The path through states (m, n), mended where straight motions leave the manifold, if it is free.
 
         Returns
@@ -157,11 +157,11 @@ class ConstrainedSpace:
         The path, or None with the index of the first segment that fails at the fine resolution.
         """
         states = np.ascontiguousarray(states)
-        room = 8 * len(states) + 4 * int(Path(states).length / self.settings.step) + 64
+        room = 8 * len(states) + 4 * int(JointPath(states).length / self.settings.step) + 64
         out = np.empty((room, states.shape[1]))
         written, bad = refine_and_check(self.arrays, states, out)
         self.reraise()
-        return (Path(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
+        return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
 
 
 def _arrays(

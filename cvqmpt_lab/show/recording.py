@@ -16,8 +16,7 @@ import rerun.blueprint as rrb
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.planning.result import Path as JointPath
-from cvqmpt_lab.planning.result import Tree
+from cvqmpt_lab.planning.result import JointPath, Tree
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment

@@ -15,7 +15,7 @@ from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
-from cvqmpt_lab.planning.result import Budget, Path, PlanStatus
+from cvqmpt_lab.planning.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.goals import following, phase_goals, prepare, world_before
 from cvqmpt_lab.tasks.phases import Move, PlannedPhase
@@ -220,7 +220,7 @@ class _Run:
 
 
 def _certifier(problem: PlanningProblem) -> Callable[[np.ndarray], Sequence[str]]:
-    return lambda states: certify(problem, Path(states), clearance=False).reasons
+    return lambda states: certify(problem, JointPath(states), clearance=False).reasons
 
 
 def _why(solution: Solution) -> str:

@@ -29,19 +29,16 @@ REFINEMENTS = 40
 
 @dataclass(frozen=True, eq=False)
 class SmoothCurve:
-    """A twice continuously differentiable curve from 0 to `length` [rad or m], about arc length.
-
-    Attributes
-    ----------
-    spline: q(s) (n,). knots: (k,) distinct knots [rad].
-    deviation: largest distance measured between q(s) and the polyline at s [rad].
-    marks: (m,) where the waypoints lie [rad].
-    """
+    """A twice continuously differentiable curve from 0 to `length` [rad or m], about arc length."""
 
     spline: BSpline
+    """q(s) (n,) [rad or m]."""
     knots: np.ndarray
+    """(k,) distinct knots [rad]."""
     deviation: float
+    """Largest distance measured between q(s) and the polyline at s [rad]."""
     marks: np.ndarray
+    """(m,) where the waypoints lie [rad]."""
 
     @cached_property
     def grid(self) -> np.ndarray:

@@ -8,34 +8,30 @@ Where the grid is fine, an acceleration limit says only how far b may rise or fa
 the next; of such profiles there is one that is the greatest everywhere, and it is the fastest. Maximising the sum of
 b, a linear program, finds it. Where a joint turns round (q' near 0) this is not exact: on 30 paths of the
 place task the linear program's durations were at most 0.02 % longer than the least ones, in a fifth of
-the time. ``objective="time"`` minimises the time itself, as a second-order cone program.
+the time that the second-order cone program of the time itself took.
 """
 
 import warnings
 
-import cvxpy as cp
 import numpy as np
 import scipy.sparse as sparse
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.limits import JointLimits
 from cvqmpt_lab.trajectory.curve import SmoothCurve
 
-OBJECTIVES = ("speed", "time")
 FLAT = 1e-3  # of the typical |q'| / velocity limit: less (where all joints turn round at once) counts as this
 TOLERANCE = 1e-10  # of the linear program, whose numbers are about 1
 STANDSTILL = 1e-8  # of the typical squared speed: less is standing still
 
 
-def squared_speeds(curve: SmoothCurve, limits: JointLimits, objective: str = "speed") -> np.ndarray:
+def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
     """Squared speeds (g,) [rad^2/s^2] along the curve on its grid, 0 at both ends.
 
     Raises
     ------
     InvalidInputError: limits under which the curve cannot be passed; names the joint and the place.
     """
-    if objective not in OBJECTIVES:
-        raise UnknownChoiceError("objective", objective, OBJECTIVES)
     grid = curve.grid
     slope = np.abs(curve.spline(grid, 1))
     slowness = (slope / limits.velocity).max(axis=1)  # least time per arc length
@@ -49,10 +45,7 @@ def squared_speeds(curve: SmoothCurve, limits: JointLimits, objective: str = "sp
     rows = scale * sparse.vstack(rows, format="csr")
     bound = bound / scale
     bound[[0, -1]] = 0.0
-    if objective == "speed":
-        solved, shape = _greatest(rows, bound)
-    else:
-        solved, shape = _least_time(rows, bound, np.diff(grid) / np.diff(grid).mean())
+    solved, shape = _greatest(rows, bound)
     shape = np.minimum(shape, bound)
     if not solved or shape[1:-1].min() <= STANDSTILL:
         raise InvalidInputError(_why_not(curve, limits, shape if solved else bound))
@@ -112,25 +105,16 @@ def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndar
 
 
 def _greatest(rows: sparse.csr_matrix, bound: np.ndarray) -> tuple[bool, np.ndarray]:
+    """Whether there is a solution, and the greatest b (g,), nan without one."""
+    import cvxpy as cp  # takes half a second, which planning without timing need not wait for
+
     b = cp.Variable(len(bound))
-    kept = [rows @ b <= 1.0, b >= 0.0, b <= bound]
+    problem = cp.Problem(cp.Maximize(cp.sum(b)), [rows @ b <= 1.0, b >= 0.0, b <= bound])
     options = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
-    return _solved(cp.Problem(cp.Maximize(cp.sum(b)), kept), b, solver=cp.HIGHS, highs_options=options)
-
-
-def _least_time(rows: sparse.csr_matrix, bound: np.ndarray, steps: np.ndarray) -> tuple[bool, np.ndarray]:
-    b, speed = cp.Variable(len(bound)), cp.Variable(len(bound))
-    kept = [rows @ b <= 1.0, b <= bound, speed <= cp.sqrt(b)]
-    time = cp.sum(cp.multiply(2.0 * steps, cp.inv_pos(speed[1:] + speed[:-1])))
-    return _solved(cp.Problem(cp.Minimize(time), kept), b, solver=cp.CLARABEL)
-
-
-def _solved(problem: cp.Problem, b: cp.Variable, **options: object) -> tuple[bool, np.ndarray]:
-    """Whether there is a solution, and its b (nan without one)."""
     try:
         with warnings.catch_warnings():  # of inaccurate solutions: limits are checked afterwards
             warnings.simplefilter("ignore", UserWarning)
-            problem.solve(**options)
+            problem.solve(solver=cp.HIGHS, highs_options=options)
     except cp.SolverError:
         return False, np.full(b.shape, np.nan)
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or b.value is None:

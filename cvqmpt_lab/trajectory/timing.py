@@ -18,18 +18,12 @@ TIGHTENINGS = 3  # how often a refused curve is drawn closer to the path, each t
 
 @dataclass(frozen=True)
 class TimingSettings:
-    """How a path is timed.
-
-    Attributes
-    ----------
-    speed: factor on velocity and acceleration limits, above 0 and at most 1 (full speed).
-    deviation: how far the motion may leave the polyline to round its corners [rad].
-    objective: of the convex program, "speed" or "time"; see `speed_profile`.
-    """
+    """How a path is timed."""
 
     speed: float = SLOW
+    """Factor on velocity and acceleration limits, above 0 and at most 1 (full speed)."""
     deviation: float = 1e-3
-    objective: str = "speed"
+    """How far the motion may leave the polyline to round its corners [rad]."""
 
 
 def time_path(
@@ -41,7 +35,7 @@ def time_path(
     """The fastest motion along waypoints (m, n) [rad] within the limits, at rest at both ends.
 
     check: reasons against states (k, n) of the rounded path, none when they are fine, such as
-        ``lambda states: certify(problem, Path(states)).reasons``. While there are any, corners are cut less.
+        ``lambda states: certify(problem, JointPath(states)).reasons``. While there are any, corners are cut less.
 
     Raises
     ------
@@ -56,7 +50,7 @@ def time_path(
         )
     limits = limits.scaled(settings.speed)
     curve = _accepted_curve(states, settings.deviation, check)
-    return _trajectory(curve, squared_speeds(curve, limits, settings.objective), limits)
+    return _trajectory(curve, squared_speeds(curve, limits), limits)
 
 
 def _accepted_curve(

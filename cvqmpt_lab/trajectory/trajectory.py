@@ -20,22 +20,20 @@ class JointState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Joint states at k times, at rest at both ends.
-
-    Attributes
-    ----------
-    joint_names: n names. times: (k,) from 0, increasing [s].
-    positions, velocities, accelerations: (k, n) [rad, rad/s, rad/s^2]. Accelerations may jump at these
-        times; the one that begins there is given (at the end, the one that ends there).
-    deviation: largest distance from the path that was timed [rad].
-    """
+    """Joint states at k times, at rest at both ends."""
 
     joint_names: tuple[str, ...]
+    """n names."""
     times: np.ndarray
+    """(k,) from 0, increasing [s]."""
     positions: np.ndarray
+    """(k, n) [rad]."""
     velocities: np.ndarray
+    """(k, n) [rad/s]."""
     accelerations: np.ndarray
+    """(k, n) [rad/s^2]; where one jumps, the one that begins there (at the end, the one that ends there)."""
     deviation: float = 0.0
+    """Largest distance from the path that was timed [rad]."""
 
     @property
     def duration(self) -> float:

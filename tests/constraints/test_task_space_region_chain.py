@@ -17,7 +17,7 @@ from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.result import Budget, Path
+from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
@@ -236,9 +236,9 @@ def test_the_exact_backend_opens_the_door(door):
 
 def test_the_certificate_sees_a_hand_that_lets_go(door, opened):
     states = opened.simplified.path.states.copy()
-    assert certify(door, Path(states)).valid
+    assert certify(door, JointPath(states)).valid
     states[len(states) // 2, 7] += 0.01
-    reasons = certify(door, Path(states)).reasons
+    reasons = certify(door, JointPath(states)).reasons
     assert len(reasons) == 1 and reasons[0].startswith("off the manifold")
 
 
@@ -254,5 +254,5 @@ def test_the_certificate_sees_the_door_hit_something(door, opened):
 def test_the_certificate_sees_an_end_with_the_door_elsewhere(door, opened):
     """The goal's hand region, its goals left out: a path that stops half way has not opened the door."""
     half = opened.simplified.path.states[: len(opened.simplified.path.states) // 2]
-    reasons = certify(replace(door, goals=np.empty((0, 8))), Path(half)).reasons
+    reasons = certify(replace(door, goals=np.empty((0, 8))), JointPath(half)).reasons
     assert reasons == ("does not end at a goal",)

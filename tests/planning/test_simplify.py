@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from experiments.rows import path_hash
@@ -90,7 +90,7 @@ def test_patience_ends_what_no_longer_gains(solution, space):
 
 def test_tiny_paths_pass_through(problem, space):
     for states in (problem.start[None], np.array([problem.start, problem.start])):
-        np.testing.assert_array_equal(simplified(space, Path(states), LONG).path.states, states)
+        np.testing.assert_array_equal(simplified(space, JointPath(states), LONG).path.states, states)
 
 
 def test_a_detour_is_cut(problem, space):
@@ -99,7 +99,7 @@ def test_a_detour_is_cut(problem, space):
     out = [manifold.project(q + np.array([s, 0, 0, 0, 0, 0, 0])) for s in np.linspace(0.0, 0.3, 11)]
     states = np.array([*out, *out[-2:0:-1], out[1]])
     assert space.checked_path(states)[1] == -1
-    assert simplified(space, Path(states), LONG).path.length < 0.1
+    assert simplified(space, JointPath(states), LONG).path.length < 0.1
 
 
 @pytest.mark.parametrize("bad", [{"attempts": -1}, {"seconds": 0.0}, {"patience": 0}])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.planning.result import Path
+from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.show.plots import bound_plots, clearance_plot, plots_along
 
 
@@ -22,7 +22,7 @@ def test_tilt_beyond_its_bounds_is_the_certificates_violation(problem):
         outside = np.maximum(outside, np.maximum(low - tilt, tilt - high))
     for q, excess in zip(states, outside, strict=True):
         assert excess == pytest.approx(
-            certify(problem, Path(np.stack([q, q])), clearance=False).max_violation_rad, abs=1e-9
+            certify(problem, JointPath(np.stack([q, q])), clearance=False).max_violation_rad, abs=1e-9
         )
 
 
@@ -31,7 +31,7 @@ def test_clearance_is_the_certificates(solution):
     for q, clearance in zip(
         states, clearance_plot(solution.problem, states).curves["clearance"].values, strict=True
     ):
-        expected = certify(solution.problem, Path(np.stack([q, q]))).min_clearance_m
+        expected = certify(solution.problem, JointPath(np.stack([q, q]))).min_clearance_m
         assert clearance == pytest.approx(1e3 * expected)
 
 
