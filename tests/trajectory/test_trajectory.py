@@ -11,6 +11,7 @@ from itertools import islice
 import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sparse
 import toppra
 from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
@@ -107,7 +108,11 @@ def least_time(curve, limits):
     bound = np.maximum(slowness, speed_profile.FLAT * np.median(slowness)) ** -2
     typical = 1.0 / np.median((slope / limits.acceleration).max(axis=1))
     scale = min(np.median(bound), 2.0 * curve.length * typical)
-    rows = scale * speed_profile._acceleration_rows(curve, limits.acceleration, bound)
+    kept = (
+        speed_profile._acceleration_rows(curve, limits.acceleration, bound),
+        speed_profile._velocity_rows(curve, limits.velocity, bound),
+    )
+    rows = scale * sparse.vstack(kept, format="csr")
     bound = bound / scale
     bound[[0, -1]] = 0.0
     b, speed = cp.Variable(len(bound)), cp.Variable(len(bound))
