@@ -35,3 +35,12 @@ def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     exec(compile(example, "README.md", "exec"), {})
     assert re.fullmatch(r"solved \d+\.\d+ True\n", capsys.readouterr().out)
+
+
+def test_a_sampler_of_ones_own_is_a_function(tmp_path, monkeypatch):
+    example = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "your_own.md").read_text(), re.DOTALL)[-1]
+    monkeypatch.chdir(tmp_path)
+    assert main(["problems", "new", "mine.json", "--robot", "ur5"]) == 0
+    names = {}
+    exec(compile(example, "your_own.md", "exec"), names)
+    assert names["solution"].solved and names["solution"].plan.sampler == "halfway"

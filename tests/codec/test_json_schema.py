@@ -101,8 +101,10 @@ def test_what_the_code_refuses_is_marked(mine, change):
         PlanningProblem.from_dict(mine | change)
 
 
-def test_the_example_of_the_readme_is_valid_and_can_be_planned(request):
-    text = (request.config.rootpath / "README.md").read_text().split("```json\n")[1].split("```")[0]
+def test_the_example_of_the_docs_is_valid_and_can_be_planned(request):
+    text = (
+        (request.config.rootpath / "docs" / "your_own.md").read_text().split("```json\n")[1].split("```")[0]
+    )
     assert errors("problem", json.loads(text)) == []
     check_problem(PlanningProblem.from_dict(json.loads(text)))
 
