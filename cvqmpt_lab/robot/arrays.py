@@ -12,7 +12,8 @@ def axis_frames(model: pin.Model) -> list[np.ndarray]:
     pin.computeJointJacobians(model, data, pin.neutral(model))
     frames = [np.eye(3)]
     for j in range(1, model.njoints):
-        motion = pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL)[:, j - 1]
+        jacobian = pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL)
+        motion = jacobian.reshape(6, -1)[:, j - 1]  # of one joint, pinocchio gives a vector
         axis = motion[3:] if np.linalg.norm(motion[3:]) > 0.5 else motion[:3]
         z = np.array([0.0, 0.0, 1.0])
         frames.append(pin.Quaternion.FromTwoVectors(z, axis).toRotationMatrix())

@@ -15,14 +15,19 @@ THINNEST = 1e-6
 
 
 def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
-    """Every collision mesh becomes its convex hull."""
+    """Every collision mesh becomes its convex hull; InvalidInputError names one that has none."""
     for item in geometry.geometryObjects:
         shape = item.geometry
         if isinstance(shape, coal.BVHModelBase):
+            what = f"collision mesh {item.meshPath or item.name}"
             if shape.num_vertices == 0:
-                raise InvalidInputError(f"collision mesh {item.meshPath or item.name} is empty")
-            require_volume(np.array(shape.vertices()), f"collision mesh {item.meshPath or item.name}")
-            shape.buildConvexHull(True, "Qt")
+                raise InvalidInputError(f"{what} is empty")
+            require_volume(np.array(shape.vertices()), what)
+            try:
+                shape.buildConvexHull(True, "Qt")
+            except RuntimeError as error:  # e.g. a corner with more than 255 neighbours
+                reason = str(error).rpartition("message: ")[2].strip()
+                raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
             item.geometry = shape.convex
 
 

@@ -27,8 +27,8 @@ from cvqmpt_lab.robot.urdf import HeldJoint, Urdf, held_joints, one_coordinate_a
 MOST_REACH = 10.0
 """[m] from the origin; the kernels' distance grid, which covers the cube around it, takes 125 MB then."""
 
-HELD = "held: "
-"""Before the name that a held joint has while pinocchio takes it out."""
+JOINT = "joint: "
+"""Before the names that joints have while pinocchio takes out those that are held."""
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:
@@ -157,10 +157,8 @@ def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pi
     """Pinocchio's models of the joints that are not held, standing on the given base."""
     root = one_coordinate_a_joint(urdf)
     find_collision_meshes(root, urdf.path, [Path(folder) for folder in files.package_dirs])
-    values = {joint.name: joint.value for joint in held}
-    for element in root.findall("joint"):  # pinocchio cannot hold a joint that is called like a link
-        if element.get("name") in values:
-            element.set("name", HELD + element.get("name", ""))
+    for element in root.findall("joint"):  # pinocchio cannot hold joints where one is called like a link
+        element.set("name", JOINT + element.get("name", ""))
     text = ElementTree.tostring(root, encoding="unicode")
     try:
         model = pin.buildModelFromXML(text)
@@ -168,12 +166,14 @@ def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pi
     except (ValueError, RuntimeError) as error:
         raise InvalidInputError(f"cannot load {files.urdf}: {' '.join(str(error).split())}") from error
     q, ids = pin.neutral(model), []
-    for name, value in values.items():
-        if model.existJointName(HELD + name):  # floating and planar joints are fixed by now
-            ids.append(model.getJointId(HELD + name))
-            q[model.joints[ids[-1]].idx_q] = value
+    for joint in held:
+        if model.existJointName(JOINT + joint.name):  # floating and planar joints are fixed by now
+            ids.append(model.getJointId(JOINT + joint.name))
+            q[model.joints[ids[-1]].idx_q] = joint.value
     if ids:
         model, geometry = pin.buildReducedModel(model, geometry, ids, q)
+    for j, name in enumerate(list(model.names)):
+        model.names[j] = name.removeprefix(JOINT)
     if files.base is not None:
         _place(model, geometry, pin.SE3(files.base))
     return model, geometry

@@ -15,6 +15,8 @@ from cvqmpt_lab.files import read_text
 
 TURN = 2.0 * math.pi
 """[rad] A continuous joint turns by up to this much either way: a whole turn more would be the same posture."""
+LEAST_ARM = 3
+"""Joints, after which a link that carries several moving ones is taken for a hand."""
 OFF_CHAIN = "not between the base and the end effector"
 ASKED = "as asked for"
 
@@ -101,18 +103,20 @@ class Urdf:
     @property
     def likely_end_effectors(self) -> list[str]:
         """Links at the ends of the chains with the most joints, the hand rather than its fingers."""
-        moved = {link: [j for j in self.chain(link) if j.hindrance is None] for link in self.links}
         stands_on = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
-        carried = {
-            link: next(
-                (j.parent for j in self.chain(link) if stands_on[j.parent] > 1 and j.kind != "fixed"), link
-            )
-            for link in self.links
-        }
-        most = max((len(moved[carried[link]]) for link in self.links), default=0)
         parents = {joint.parent for joint in self.joints.values()}
-        ends = [carried[link] for link in self.links if link not in parents or carried[link] != link]
-        return list(dict.fromkeys(link for link in ends if len(moved[link]) == most))
+        joints_before: dict[str, int] = {}
+        for leaf in (link for link in self.links if link not in parents):
+            end, moved = leaf, 0
+            for joint in self.chain(leaf):
+                if stands_on[joint.parent] > 1 and moved >= LEAST_ARM:
+                    joints_before[joint.parent] = moved
+                    end = joint.parent
+                moved += joint.hindrance is None
+            if end == leaf:
+                joints_before[leaf] = moved
+        most = max(joints_before.values(), default=0)
+        return [link for link, count in joints_before.items() if count == most]
 
 
 def read_urdf(path: Path) -> Urdf:
@@ -185,6 +189,14 @@ def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -
     if len(roots) != 1:
         found = ", ".join(repr(link) for link in roots) or "none"
         raise InvalidInputError(f"{path.name} needs one link that no joint moves; it has {found}")
+    reached, below = [roots[0]], {link: [j.child for j in joints if j.parent == link] for link in links}
+    for link in reached:
+        reached += below[link]
+    if len(reached) < len(links):
+        loose = ", ".join(repr(link) for link in links if link not in reached)
+        raise InvalidInputError(
+            f"links {loose} of {path.name} hang on no link that stands still: a ring of joints"
+        )
 
 
 def held_joints(
@@ -214,9 +226,10 @@ def held_joints(
             held[joint.name] = HeldJoint(joint.name, 0.0, "the base is given")
     for joint in followers:
         leader = held.get(joint.mimics or "")
-        if leader is not None and joint.name not in chain:
-            value = joint.multiplier * leader.value + joint.offset
-            held[joint.name] = HeldJoint(joint.name, value, f"mimics {joint.mimics}")
+        if joint.name in chain or (leader is None and joint.mimics in chain):
+            continue
+        value = joint.neutral if leader is None else joint.multiplier * leader.value + joint.offset
+        held[joint.name] = HeldJoint(joint.name, value, f"mimics {joint.mimics}")
     offending = [urdf.joints[n] for n in urdf.movable if n not in held and urdf.joints[n].hindrance]
     if offending:
         raise InvalidInputError(

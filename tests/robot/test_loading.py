@@ -183,8 +183,13 @@ def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
 
 def test_a_joint_may_be_called_like_a_link(edited):
     """As in the descriptions of two arms that people own."""
-    for name, locked in (("wrist", {}), ("wrist", {"wrist": 0.2}), ("tool", {"tool": 0.0})):
-        urdf = edited((TWIST, f'name="{name}" type="revolute"'))
+    for name, locked in (
+        ("wrist", {}),
+        ("wrist", {"wrist": 0.2}),
+        ("tool", {"tool": 0.0}),
+        ("wrist", {"lift": 0.1}),
+    ):
+        urdf = edited((TWIST, f'name="{name}" type="revolute"'), ('joint name="mount"', 'joint name="elbow"'))
         robot = load_robot(urdf, "tool", locked=locked)
         assert robot.dof == 4 - len(locked) and np.isfinite(robot.pose(np.zeros(robot.dof))).all()
 
@@ -199,6 +204,10 @@ def test_a_joint_may_be_called_like_a_link(edited):
         ([('<child link="tool"/>', '<child link="toll"/>')], "joint 'mount'.*child 'toll' is no link"),
         ([('name="twist" type', 'name="bend" type')], "more than one joint called 'bend'"),
         ([('<link name="wrist">', '<link name="elbow">')], "more than one link called 'elbow'"),
+        (
+            [('<parent link="carriage"/>', '<parent link="tool"/>')],
+            "'shoulder', .* hang on no link that stands still",
+        ),
         ([(END, '<link name="alone"/></robot>')], "one link that no joint moves; it has 'base', 'alone'"),
         ([('upper="0.7"', 'upper="wide"')], "joint 'rail'.*upper is 'wide', no number"),
         ([('upper="0.7"', 'upper="70"')], "joint 'rail' slides to 70 m: at most 10 m"),
@@ -239,6 +248,16 @@ def test_a_mesh_without_volume_or_of_absurd_size_ends_in_one_line_not_in_the_pro
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("InvalidInputError collision mesh")
     assert "m.stl" in done.stdout and pattern.replace(".", "+") in done.stdout.replace(".", "+")
+
+
+def test_a_mesh_that_the_hull_library_refuses_is_named(edited, refused, tmp_path):
+    """A cone of 300 sides: the library stores at most 255 neighbours of its tip."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 301)
+    rim = np.c_[np.cos(angle), np.sin(angle), 0.0 * angle]
+    sides = [(rim[k], rim[k + 1], (0.0, 0.0, 1.0)) for k in range(300)]
+    (tmp_path / "cone.stl").write_bytes(binary_stl(*sides))
+    urdf = edited((SPHERE, '<mesh filename="cone.stl"/>'))
+    refused(InvalidInputError, r"cone\.stl has no convex hull \(Too many neighbors", load_robot, urdf, "tool")
 
 
 # ---------------------------------------------------------------- meshes in packages
