@@ -15,6 +15,20 @@ from experiments.suites.place_task import DOOR, DOOR_ANGLE, place_problem
 DATA = Path(__file__).parent / "data"
 
 
+def pytest_addoption(parser):
+    parser.addoption("--full", action="store_true", help="large comparisons whole, not a part of their cases")
+
+
+@pytest.fixture(scope="session")
+def part(request):
+    """Returns cases of a large comparison: so many of them, evenly spread, or with --full all."""
+
+    def chosen(cases, count):
+        return cases if request.config.getoption("--full") else cases[:: len(cases) // count]
+
+    return chosen
+
+
 def pytest_runtest_setup():
     """Let torch, once it is imported, use one thread: for small networks more of them wait for each other."""
     if "torch" in sys.modules:

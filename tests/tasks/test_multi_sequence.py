@@ -25,6 +25,7 @@ from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.robot.loading import FINGER_OPENING
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.show import task_film
 from cvqmpt_lab.show import task_recording as task_viewer
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.task_film import film_task
@@ -364,6 +365,7 @@ def test_fallbacks_are_counted_by_phase_and_by_task():
 
 def test_pictures_and_recording(solution, tmp_path, monkeypatch):
     monkeypatch.setattr(task_viewer, "PERIOD", 1.0)
+    monkeypatch.setattr(task_film, "FRAMES", 8)
     names = draw_task(solution, tmp_path / "task.png", size=(60, 40))
     assert names == ["start", *PHASES]
     height = 40 + Strip([Label("1  start")], 60, NAME_LETTERS).height

@@ -136,17 +136,17 @@ def test_with_the_can_is_solved():
 
 
 @pytest.mark.parametrize("with_can", [False, True])
-def test_every_environment_has_a_problem(with_can):
-    problems = [place_problem(e, with_can) for e in ENVIRONMENTS]
+def test_every_environment_has_a_problem(with_can, part):
+    problems = [place_problem(e, with_can) for e in part(ENVIRONMENTS, 50)]
     assert [p for p in problems if not isinstance(p, PlanningProblem)] == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suite", ["place-task", "place-task-with-can"])
-def test_every_environment_is_solved(suite):
+def test_every_environment_is_solved(suite, part):
     """By birrt within 20 000 iterations; every path certified, every start and goal checked by `solve`."""
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
-    problems = [suite_named(suite).solvable(e) for e in ENVIRONMENTS]
+    problems = [suite_named(suite).solvable(e) for e in part(ENVIRONMENTS, 30)]
     solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
     assert min(len(s.problem.goals) for s in solutions) >= 1
     failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}

@@ -37,7 +37,7 @@ MESHES = {
     "cylinder": (trimesh.creation.cylinder(0.1, 0.3), 1, 1.001),
     "table": (table(), 20, 1.5),
     "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
-    "torus": (trimesh.creation.torus(0.3, 0.05), MOST_PIECES, 1.3),
+    "torus": (trimesh.creation.torus(0.3, 0.05, major_sections=24, minor_sections=12), MOST_PIECES, 1.3),
 }
 
 
