@@ -23,6 +23,7 @@ from experiments.figures.latent_update import FAR, NEAR
 BEFORE, AFTER = "#8c96a3", "#1f6fb4"
 FORMATS = ("png", "svg")
 DPI = 160
+PICTURE = (900, 690)  # [pixels] width and height of the scene behind hands and beside clouds
 STICK = 0.09  # [m] length of the stick that shows which way a hand points up
 CLOSE = Viewpoint(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
 
@@ -98,7 +99,7 @@ def hand_figure(
     problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], viewpoint: Viewpoint = CLOSE
 ) -> Figure:
     """Titled panels of hands over a picture of the scene: a stick each, upwards, coloured by its tilt."""
-    image = still_image(problem, problem.start, (900, 690), viewpoint)
+    image = still_image(problem, problem.start, PICTURE, viewpoint)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
     tilts = np.concatenate([hands.tilt for _, hands in panels])
     norm = Normalize(0.0, np.degrees(max(0.5, np.quantile(tilts, 0.9))))
@@ -132,7 +133,7 @@ def _draw_hands(
 
 def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE) -> Figure:
     """A problem's scene, and beside it its cloud (m, 3) [m] from the same place, coloured by height."""
-    image = still_image(problem, problem.start, (900, 690), viewpoint)
+    image = still_image(problem, problem.start, PICTURE, viewpoint)
     figure = Figure(figsize=(10.4, 4.05), layout="constrained")
     scene, points = axes_of = figure.subplots(1, 2)
     scene.imshow(image)

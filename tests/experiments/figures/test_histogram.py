@@ -17,6 +17,7 @@ from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentSettin
 from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import still_image
+from experiments.figures import drawing
 from experiments.figures.drawing import cloud_figure, figure_bytes, histogram_figure
 from experiments.figures.hand_poses import HandPoses, hand_change
 from experiments.figures.histogram import THRESHOLDS, Histogram, MarkovTail, code_changes, value_rows
@@ -176,7 +177,12 @@ def test_the_scene_is_drawn_where_its_viewpoint_puts_it(few_goals):
         assert np.hypot(rows - row, columns - column).min() < 2.0
 
 
-def test_the_cloud_is_drawn_beside_its_scene(update):
+@pytest.fixture
+def small_pictures(monkeypatch):
+    monkeypatch.setattr(drawing, "PICTURE", (180, 138))
+
+
+def test_the_cloud_is_drawn_beside_its_scene(update, small_pictures):
     figure = cloud_figure(update.problem, update.cloud)
     scene, cloud, _ = figure.axes
     (drawn,) = cloud.collections
@@ -240,7 +246,7 @@ def test_the_command_writes_the_histogram(tmp_path, model, capsys):
     assert "update.seed was 0, now 1" in capsys.readouterr().err
 
 
-def test_the_command_writes_the_concept_figure(tmp_path, model):
+def test_the_command_writes_the_concept_figure(tmp_path, model, small_pictures):
     out = tmp_path / "concept"
     assert main(["figure", "concept", "--model", str(model), "--out", str(out)]) == 0
     rows = rows_of(out / "concept.csv")
