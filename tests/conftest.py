@@ -10,6 +10,8 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.tasks.solve_task import solve_task
+from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, place_problem
 
 DATA = Path(__file__).parent / "data"
@@ -83,3 +85,15 @@ def problem():
 def solution(problem):
     """A certified solution of `problem`."""
     return solve(problem, "birrt", Budget(iterations=20_000), seed=0)
+
+
+@pytest.fixture(scope="session")
+def task():
+    """The first task of the multi-sequence suite."""
+    return multi_sequence_task(0)
+
+
+@pytest.fixture(scope="session")
+def task_solution(task):
+    """`task`, every phase solved and certified."""
+    return solve_task(task, "birrt", Budget(seconds=20.0), seed=0)

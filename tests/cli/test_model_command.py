@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from command_line import refused
 from published_files import STAGE1
 from small_models import random_checkpoint
 
@@ -26,13 +27,6 @@ from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.prediction.weights import WEIGHTS, load_vq_mpt, resolve_model
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def refused(capsys, *words):
-    code = main(["model", *map(str, words)])
-    captured = capsys.readouterr()
-    assert code == 2 and captured.out == "" and len(captured.err.splitlines()) == 1, captured
-    return captured.err
 
 
 def info(capsys, *words):
@@ -92,7 +86,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
     predictor = Predictor(checkpoint, panda, PredictorSettings(decoding="beam", max_length=5))
     prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:], rng)
     assert len(prediction.sequences[0][0].codes) > 0
-    again = refused(capsys, *words[1:])
+    again = refused(capsys, "model", *words[1:])
     assert "is there and not empty; choose another --out" in again
 
 
@@ -108,7 +102,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
 )  # fmt: skip
 def test_what_cannot_be_done_is_one_line(words, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert message in refused(capsys, *words)
+    assert message in refused(capsys, "model", *words)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -116,10 +110,12 @@ def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
     save_checkpoint(tmp_path / "model", random_checkpoint(panda))
     weights = tmp_path / "model" / "dictionary.safetensors"
     weights.write_bytes(weights.read_bytes()[:-4] + b"\0\0\0\1")
-    assert "dictionary.safetensors is damaged" in refused(capsys, "info", "--model", tmp_path / "model")
+    assert "dictionary.safetensors is damaged" in refused(
+        capsys, "model", "info", "--model", tmp_path / "model"
+    )
     config = tmp_path / "model" / "config.json"
     config.write_text(config.read_text().replace('"vq-mpt"', '"rrt"'))
-    message = refused(capsys, "info", "--model", tmp_path / "model")
+    message = refused(capsys, "model", "info", "--model", tmp_path / "model")
     assert "'rrt'; valid choices: vq-mpt, mpnet" in message
 
 
@@ -127,7 +123,7 @@ def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, 
     huge = published_states["decoder_state"] | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
     dictionary_dir, ar_dir = published(decoder_state=huge)
     words = ("import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir, "--out", tmp_path / "ours")
-    assert "mu.0.bias has NaN or infinite values" in refused(capsys, *words)
+    assert "mu.0.bias has NaN or infinite values" in refused(capsys, "model", *words)
     assert {path.name for path in tmp_path.iterdir()} == {"dictionary", "ar"}
 
 

@@ -4,17 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from command_line import refused
 
 from cli.main import main
 from cli.problem_template import template
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-
-
-def refused(capsys, *words):
-    assert main([str(word) for word in words]) == 2
-    line = capsys.readouterr().err
-    assert len(line.splitlines()) == 1
-    return line
 
 
 @pytest.fixture
@@ -109,3 +103,16 @@ def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
 )
 def test_a_wrong_pose_or_region_is_one_line(mine, capsys, words, message):
     assert message in refused(capsys, "ik", "--problem-file", mine, *words)
+
+
+def test_exported_problems_are_planned_from_their_files(capsys, tmp_path):
+    assert main(["problems", "export", "place-task", "--problems", "1", "--out", str(tmp_path)]) == 0
+    (path,) = tmp_path.iterdir()
+    assert path.name == "place-task-000.json" and PlanningProblem.load(path).goal_region is not None
+    assert main(["plan", "--problem-file", str(path), "--iterations", "20000"]) == 0
+
+
+def test_problems_are_listed(capsys):
+    assert main(["problems", "list", "place-task", "--problems", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["0:", "1:", "2"]

@@ -1,0 +1,23 @@
+"""A problem file that may be spoiled."""
+
+import json
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def problem_data(problem):
+    """The json form of a place problem with one goal."""
+    return problem.with_goals(problem.goals[:1]).to_dict()
+
+
+@pytest.fixture
+def data(problem_data):
+    return json.loads(json.dumps(problem_data))
+
+
+@pytest.fixture
+def problem_file(tmp_path, data):
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(data))
+    return path

@@ -1,0 +1,104 @@
+"""The command line as a whole: bad words are one line and exit code 2, help is quick and has examples."""
+
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from command_line import refused
+
+from cli.main import COMMANDS, main
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("numba", "scipy", "pinocchio", "coal", "ompl", "rerun", "matplotlib", "torch")
+
+
+@pytest.mark.parametrize(
+    ("words", "value", "choice"),
+    [
+        ("plan place-task --planner nope", "'nope'", "ompl-projected"),
+        ("plan nope", "'nope'", "place-task-with-can"),
+        ("plan place-task --problem 150", "150", "0 to 149"),
+        ("plan place-task --problem -1", "-1", "0 to 149"),
+        ("plan place-task --backend nope", "'nope'", "compiled, exact"),
+        ("plan place-task --seed -1", "-1", "0 or more"),
+        ("plan", "--problem-file", "place-task"),
+        ("plan place-task --problem-file x", "--problem-file", "one of the three"),
+        ("plan --problem-file /nope", "/nope", "No such file"),
+        ("plan place-task --save /nope/x.rrd", "/nope", "does not exist"),
+        ("plan place-task --save-path /nope/x.csv", "/nope", "does not exist"),
+        ("reproduce nope", "'nope'", "place-task"),
+        ("figure nope", "'nope'", "histogram, concept"),
+        ("reproduce place-task --planners birrt,nope", "'nope'", "ompl-projected"),
+        ("reproduce place-task --planners ,", "planners", "at least one"),
+        ("problems nope place-task", "'nope'", "list, export"),
+        ("problems list nope", "'nope'", "place-task-with-can"),
+        ("problems export place-task", "--out", "DIR"),
+        ("table /nope", "/nope", "not a directory"),
+        ("bench nope", "'nope'", "kernels"),
+        ("check-tables --expected /nope", "/nope", "check-tables --update"),
+    ],
+)
+def test_unknown_choices_name_the_value_and_the_valid_ones(capsys, words, value, choice):
+    line = refused(capsys, *words.split())
+    assert value in line and choice in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "nope",
+        "plan place-task --cutoff nan",
+        "plan place-task --cutoff -1",
+        "plan place-task --cutoff inf",
+        "plan place-task --iterations 0",
+        "plan place-task --problem one",
+        "reproduce place-task --problems 0",
+        "reproduce place-task --seeds x",
+        "reproduce place-task --jobs 0",
+        "plan place-task --nope",
+        "plan place-task --cutoff ten",
+        "plan place-task --seed",
+        "warmup nope",
+        "bench",
+        "table",
+    ],
+)
+def test_malformed_options_are_one_line_that_names_the_value_and_the_help(capsys, words):
+    line = refused(capsys, *words.split())
+    command = " ".join(["cvqmpt", *[word for word in words.split()[:1] if word in COMMANDS]])
+    assert words.split()[-1] in line and f"{command} --help" in line
+
+
+def test_help_is_fast_and_imports_nothing_heavy():
+    script = (
+        "import sys; from cli.main import main\ntry: main(['--help'])\nfinally: print(sorted(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    modules = done.stdout.splitlines()[-1]
+    assert "'argparse'" in modules and not [name for name in HEAVY if f"'{name}'" in modules]
+    seconds = []
+    for _ in range(3):
+        began = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "cli.main", "--help"], cwd=ROOT, capture_output=True, check=True
+        )
+        seconds.append(time.perf_counter() - began)
+    assert statistics.median(seconds) < 1.5, "aim: 0.5 s; the rest is for busy machines"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_examples(capsys, command):
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    out = capsys.readouterr().out
+    assert end.value.code == 0 and "examples:\n  cvqmpt " in out
+
+
+def test_as_a_process_an_error_is_one_line_without_traceback():
+    done = subprocess.run(
+        [sys.executable, "-m", "cli.main", "plan", "nope"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1

@@ -1,0 +1,58 @@
+"""`cvqmpt reproduce`: the files it writes, and folders that it refuses."""
+
+import os
+
+import pytest
+from command_line import refused
+
+from cli.main import main
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows
+
+
+def test_a_directory_with_rows_of_another_run_is_refused_and_kept(capsys, tmp_path):
+    words = [
+        "reproduce",
+        "place-task",
+        "--problems",
+        "1",
+        "--planners",
+        "birrt",
+        "--jobs",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    assert main([*words, "--iterations", "20000"]) == 0
+    capsys.readouterr()
+    before = (tmp_path / RUNS_FILE).read_bytes()
+    assert "iterations was 20000, now 9" in refused(capsys, *words, "--iterations", "9")
+    assert (tmp_path / RUNS_FILE).read_bytes() == before and len(read_rows(tmp_path / RUNS_FILE)) == 1
+
+
+@pytest.mark.parametrize("out", ["/dev/null", "/dev/null/x"])
+def test_a_directory_that_cannot_be_made_is_refused(capsys, out):
+    assert out in refused(capsys, "reproduce", "place-task", "--problems", "1", "--out", out)
+    assert out in refused(capsys, "problems", "export", "place-task", "--problems", "1", "--out", out)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_directory_is_refused(capsys, tmp_path):
+    tmp_path.chmod(0o555)
+    assert "read-only" in refused(capsys, "reproduce", "place-task", "--problems", "1", "--out", tmp_path)
+
+
+def test_an_unknown_backend_of_an_experiment_is_refused(capsys, tmp_path):
+    out = tmp_path / "out"
+    assert "'nope'" in refused(
+        capsys, "reproduce", "place-task", "--problems", "1", "--backend", "nope", "--out", out
+    )
+    assert not out.exists()
+
+
+def test_reproduce_names_the_files_it_wrote(capsys, tmp_path):
+    words = ["reproduce", "place-task", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
+    assert main([*words, "--iterations", "20000", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    for name in ("runs.csv", "table.md", "table.tex", "table.csv"):
+        assert (tmp_path / name).is_file() and name in out
+    assert str(tmp_path / "table.md") in out and "birrt" in out

@@ -1,0 +1,149 @@
+"""A task planned whole: every phase certified, another grasp tried, failures named; its rows."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.results.phase_name import split_problem
+from cvqmpt_lab.robot.loading import FINGER_OPENING
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.tasks.solve_task import solve_task
+from experiments.rows import Run, phase_rows
+from experiments.suites.door_task import OPEN
+from experiments.suites.multi_sequence import CAN_NAME, world
+from experiments.suites.place_task import DOOR
+from paper_tables.multi_sequence_summary import task_rows
+
+BUDGET = Budget(seconds=20.0)
+RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)
+PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
+
+
+@pytest.fixture(scope="module")
+def rows(task_solution):
+    return phase_rows(RUN, task_solution)
+
+
+def changed(task, which, **fields):
+    """The task with fields of one phase changed."""
+    assert which in [phase.name for phase in task.phases]
+    return replace(task, phases=tuple(replace(p, **fields) if p.name == which else p for p in task.phases))
+
+
+def test_a_whole_task_is_solved_and_every_phase_certified(task_solution):
+    assert task_solution.solved and task_solution.failure == ""
+    assert [outcome.phase.name for outcome in task_solution.outcomes] == PHASES
+    for outcome in task_solution.outcomes:
+        path = outcome.solution.simplified.path
+        assert certify(outcome.solution.problem, path).valid
+        motion = outcome.trajectory
+        np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-12)
+        np.testing.assert_allclose(motion.positions[[0, -1]], path.states[[0, -1]], atol=1e-9)
+
+
+def test_phases_follow_each_other(task_solution):
+    """Each begins where the last ended; the door turned, the can stands upright where it was to be put."""
+    for before, after in zip(task_solution.outcomes, task_solution.outcomes[1:], strict=False):
+        end = before.solution.simplified.path.states[-1]
+        np.testing.assert_array_equal(after.solution.problem.start[:7], end[:7])
+    end = task_solution.world
+    assert end.scene.articulation(DOOR).value == pytest.approx(OPEN, abs=1e-4)
+    assert end.held is None and end.source["finger_opening"] == FINGER_OPENING
+    T = end.scene[CAN_NAME].T_world_object
+    goal = task_solution.task.phases[7].goal.T0_w[:3, 3]
+    np.testing.assert_allclose(T[:2, 3], goal[:2], atol=2e-3)
+    assert T[2, 2] > np.cos(0.01)
+
+
+def test_the_can_is_in_the_way_until_it_is_grasped(task_solution):
+    problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
+    for name in ("reach-handle", "open-door", "reach-can", "approach"):
+        assert problems[name].scene[CAN_NAME].obstacle and not problems[name].attachments
+    assert CAN_NAME not in problems["carry"].scene
+    assert [item.name for item in problems["carry"].attachments] == ["carried_can"]
+    assert problems["open-door"].robot.dof == 8
+
+
+def test_same_seed_same_motion(task, task_solution):
+    again = solve_task(task, "birrt", BUDGET, seed=0)
+    for a, b in zip(again.outcomes, task_solution.outcomes, strict=True):
+        np.testing.assert_array_equal(a.solution.simplified.path.states, b.solution.simplified.path.states)
+
+
+class FailsOnce:
+    """birrt, but the first planning run to the end of a named phase finds nothing, slowly."""
+
+    def __init__(self, phase):
+        self.phase, self.failed = phase, False
+
+    def search(self, space, *arguments):
+        if space.problem.name.endswith(self.phase) and not self.failed:
+            self.failed = True
+            time.sleep(0.5)
+            return PlanResult(PlanStatus.TIMEOUT, None, 0.5, Counters(), 0, "none")
+        return BiRRT().search(space, *arguments)
+
+
+def test_another_grasp_is_tried_when_a_later_phase_fails(task):
+    solution = solve_task(task, Method.simple("birrt", search=FailsOnce("carry")), BUDGET, seed=0)
+    assert solution.solved
+    approach = next(outcome for outcome in solution.outcomes if outcome.phase.name == "approach")
+    assert len(approach.attempts) == 2
+    first, second = (item.simplified.path.states[-1] for item in approach.attempts)
+    assert np.abs(first - second).max() > 1e-6
+    rows = phase_rows(RUN, solution)
+    row = next(row for row in rows if row.problem.endswith("approach"))
+    assert rows[-1].solved and rows[-1].t_plan_s > 0.5  # what failed was paid for too
+    assert row.n_state_checks == sum(item.plan.counters.state_checks for item in approach.attempts)
+
+
+def test_a_goal_out_of_reach_names_phase_and_cause(task):
+    far = TaskSpaceRegion(pose((3.0, 0.0, 0.5)), np.eye(4), np.zeros((6, 2)))
+    solution = solve_task(changed(task, "carry", goal=far), "birrt", BUDGET, seed=0)
+    assert not solution.solved
+    assert solution.failure.startswith("phase 'carry': no goal: of 100 poses, 100 without inverse kinematics")
+    rows = phase_rows(RUN, solution)
+    assert [row.solved for row in rows] == [True] * 4 + [False]
+    assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
+
+
+def test_phases_after_a_failed_one_are_failures_too(task):
+    wall = SceneObject("wall", Box((0.3, 0.3, 0.3)), pose((0.34, -0.485, 0.757)))
+    solution = solve_task(replace(task, scene=world().with_objects(wall)), "birrt", BUDGET, seed=0)
+    rows = phase_rows(RUN, solution)
+    assert [row.fail_reason for row in rows] == ["no_goal"] + ["not_reached"] * 4
+    assert all("phase 'reach-handle'" in row.detail for row in rows[1:])
+    (total,) = task_rows(rows)
+    assert total.fail_reason == "no_goal" and total.detail.startswith("reach-handle: no goal")
+
+
+def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
+    problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
+    for name in ("ompl-projected", "atlas-rrt", "tb-rrt"):
+        method = PLANNERS[name]
+        assert method.unfit(problems["carry"]) == method.unfit(problems["open-door"]) == ""
+        assert "needs a constraint" in method.unfit(problems["reach-can"])
+    for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
+        assert PLANNERS[name].unfit(problems["carry"]) == PLANNERS[name].unfit(problems["reach-can"]) == ""
+        assert "weights are for" in PLANNERS[name].unfit(problems["open-door"])
+    assert all(PLANNERS["birrt"].unfit(problem) == "" for problem in problems.values())
+
+
+def test_rows_name_their_phases(rows):
+    assert [split_problem(row.problem) for row in rows] == [
+        ("0", k, name) for k, name in enumerate(PHASES, 1)
+    ]
+    assert all(row.solved and row.execution_time_s > 0 for row in rows)
+    with pytest.raises(InvalidInputError, match="no phase of a task"):
+        split_problem("17")
