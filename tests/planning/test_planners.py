@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 import weakref
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -258,9 +258,9 @@ class Interrupted(PlanningProblem):
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_exceptions_in_state_checks_come_out(problem, name):
-    fields = {k: getattr(problem, k) for k in problem.__dataclass_fields__}
+    values = {field.name: getattr(problem, field.name) for field in fields(problem)}
     with pytest.raises(KeyboardInterrupt, match="question 100"):
-        plan(Interrupted(**fields), name, Budget(seconds=20.0), seed=1, backend="exact")
+        plan(Interrupted(**values), name, Budget(seconds=20.0), seed=1, backend="exact")
 
 
 @pytest.mark.parametrize("manifold", STATE_SPACES)
