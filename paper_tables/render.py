@@ -34,6 +34,9 @@ TABLES: Mapping[str, SuiteTable] = {
     "family-kitchen-like": SuiteTable("Held-out scenes like kitchens, hand upright"),
     "family-shelves": SuiteTable("Held-out scenes with shelves, hand upright"),
     "family-table": SuiteTable("Held-out scenes with a table, hand upright"),
+    "robots-ur5": SuiteTable("UR5 in held-out scenes, hand upright"),
+    "robots-xarm7": SuiteTable("xArm7 in held-out scenes, hand upright"),
+    "robots-tiago": SuiteTable("Arm and torso of TIAGo in held-out scenes, hand upright"),
     "open-door": SuiteTable("Open the shelf's door, the hand on its handle"),
     "multi-sequence": SuiteTable(
         "Multi-sequence task: open the shelf, take the can, stand it on the counter",
