@@ -80,9 +80,10 @@ class _Polyline:
     """Straight joint motions through states, by the distance along them."""
 
     def __init__(self, states: np.ndarray) -> None:
-        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-        self._states = states[np.concatenate([[True], steps > 0.0])]
-        self._along = [0.0, *np.cumsum(steps[steps > 0.0]).tolist()]
+        along = np.cumsum(np.linalg.norm(np.diff(states, axis=0), axis=1))
+        apart = np.diff(along, prepend=0.0) > 0.0  # steps too short to change the distance are none
+        self._states = states[np.concatenate([[True], apart])]
+        self._along = [0.0, *along[apart].tolist()]
         self.length = self._along[-1]
 
     def stretch(self, begin: float, half: float) -> tuple[np.ndarray, np.ndarray]:

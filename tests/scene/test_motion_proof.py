@@ -58,3 +58,14 @@ def test_standing_still_is_one_look(panda, open_kitchen):
     checker = CollisionChecker(panda, open_kitchen)
     proof = prove_free(checker, np.array([HOME, HOME]))
     assert proof.colliding is None and proof.looks == 2 and len(proof.tightest) == 1
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-18, 1e-16])
+def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kitchen, gap):
+    """OMPL's paths hold such states; far along a path a tiny step no longer changes the distance along it."""
+    motion = HOME + np.linspace(0.0, 0.3, 20)[:, None] * np.eye(7)[5]
+    repeated = np.repeat(motion, 3, axis=0) + gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
+    checker = CollisionChecker(panda, open_kitchen)
+    plain, again = prove_free(checker, motion), prove_free(checker, repeated)
+    assert plain.colliding is None and again.colliding is None
+    assert again.looks == plain.looks and again.unproven == plain.unproven
