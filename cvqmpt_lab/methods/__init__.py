@@ -1,1 +1,1 @@
-"""Planners that need a trained network: prediction and search in one, behind the planners' interface."""
+"""Methods by name: what to observe, predict, update and search with."""

@@ -1,1 +1,1 @@
-"""Planners behind one Protocol, and path simplification."""
+"""Searching a path on the constraint manifold: queries, proposals, searches, shortening."""
