@@ -40,7 +40,7 @@ check-tables: venv
 	$(BIN)/cvqmpt check-tables
 
 pytest: venv
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 2
 
 # Tests come last, so that their summary is the last thing printed.
 test: lint warmup check-tables pytest

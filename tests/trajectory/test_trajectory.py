@@ -121,6 +121,7 @@ def least_time(curve, limits):
     return scale * np.clip(b.value, 0.0, bound)
 
 
+@pytest.mark.filterwarnings("ignore:Solution may be inaccurate")  # of the reference, to the last digits
 def test_the_linear_objective_loses_next_to_nothing_to_the_time_itself(paths, limits, monkeypatch):
     linear = [time_path(path, limits, FULL).duration for path in paths[:2]]
     monkeypatch.setattr(timing, "squared_speeds", least_time)
