@@ -9,7 +9,6 @@ from experiments import regression
 from experiments.regression import EXPECTED, Expectations, compare, made_with, measure
 from experiments.run import models_of
 from paper_tables.committed import (
-    AWAITING_RERUN,
     RESULTS,
     committed_directories,
     differing_cells,
@@ -48,11 +47,10 @@ def run(args: argparse.Namespace) -> int:
     comparison = compare(expected, outcomes, made_with())
     directories = committed_directories(args.results)
     cells = [line for directory in directories for line in differing_cells(directory)]
-    checked = [folder for folder in directories if folder.name not in AWAITING_RERUN]
-    origins = [line for folder in checked for line in untraceable(folder, models_of)]
+    origins = [line for folder in directories for line in untraceable(folder, models_of)]
     print(f"runs compared {comparison.mode}: {_verdict(comparison.differences)}")
     print(f"tables of {len(directories)} results directories rendered anew: {_verdict(cells)}")
-    print(f"commits and weights of {len(checked)} of them: {_verdict(origins)}")
+    print(f"commits and weights of their rows: {_verdict(origins)}")
     for line in (*comparison.differences, *cells, *origins):
         print(f"  differs: {line}")
     return 1 if comparison.differences or cells or origins else 0

@@ -17,10 +17,6 @@ from paper_tables.render import render_directory
 RESULTS = PUBLISHED.parent / "results"
 CELL_SEPARATORS = {".md": "|", ".tex": "&"}
 FIGURE_MODEL = "vq_mpt"
-AWAITING_RERUN = frozenset(
-    {"controls", "family-shelves", "family-table", "histogram", "multi-sequence", "place-task"}
-)
-"""Committed before rows named their weights; exempt from `untraceable` until they are made again."""
 
 
 def committed_directories(results: Path = RESULTS) -> list[Path]:
