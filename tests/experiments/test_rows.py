@@ -99,4 +99,4 @@ def test_committed_rows_load_and_add_up():
     assert len(files) >= 5
     for path in files:
         for row in read_rows(path):
-            assert row.t_total_s == pytest.approx(sum(getattr(row, part) or 0.0 for part in PARTS))
+            assert (row.t_total_s or 0.0) == pytest.approx(sum(getattr(row, part) or 0.0 for part in PARTS))
