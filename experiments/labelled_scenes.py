@@ -64,7 +64,7 @@ def labelled_scene(
     *,
     with_twins: bool,
 ) -> LabelledScene:
-    """Label a scene: paths between so many pairs of configurations, some of which give none."""
+    """Label a scene: paths between `pairs` pairs of configurations, some of which give none."""
     space = _space(robot, scene)
     rng = np.random.default_rng(seed)
     labels = _labels(space, rng, pairs, settings, with_twins)

@@ -39,7 +39,7 @@ Build = Callable[[Robot, Weights], Stages]
 """Makes the stages of a method for a robot."""
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 BELIEVED = 0.5  # P(free) below which a node is left out
-GOALS = 3  # the model is asked about so many of the nearest goals; the search gets them all
+GOALS = 3  # nearest goals that the model is asked about; the search gets them all
 WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
 
 

@@ -24,12 +24,13 @@ class Effort:
     poses: int
     """Of the end effector that are tried for them."""
     first_goals: int = 0
-    """Sought by the phase before, ..."""
+    """Goals that the phase before looks for."""
     grasps: int = 0
-    """... of which it needs so many from which this phase has goals."""
+    """How many of those must let this phase have goals of its own."""
     goals_ahead: int = 0
-    """A grasp that lets fewer be reached stands at a limit and may get stuck."""
+    """Goals of this phase that count as having some: a grasp that allows fewer stands at a limit and may get stuck."""
     poses_ahead: int = 0
+    """Poses of the end effector that are tried for them."""
 
 
 EFFORT: dict[type, Effort] = {

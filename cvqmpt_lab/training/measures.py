@@ -13,7 +13,7 @@ class Measures:
         self._labelled: dict[str, list[tuple[Tensor, Tensor]]] = {}
 
     def add(self, name: str, total: float, count: float) -> None:
-        """Take in a sum over so many values."""
+        """Take in a sum over `count` values."""
         earlier = self._sums.setdefault(name, [0.0, 0.0])
         earlier[0] += total
         earlier[1] += count

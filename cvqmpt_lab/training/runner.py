@@ -38,7 +38,7 @@ class Request:
     epochs: int | None = None
     """In all, instead of the profile's."""
     minutes: float | None = None
-    """Stop after so many."""
+    """Stop when they are over."""
     workers: int = 0
     """Processes that prepare batches."""
     device: str = "auto"

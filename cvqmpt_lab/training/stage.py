@@ -56,7 +56,7 @@ class Stage(ABC):
         torch.manual_seed(seed)
 
     def link_positions(self, feature_dim: int) -> LinkPositions:
-        """What makes configurations of joints, for a model that takes so many features."""
+        """What makes configurations of joints, for a model that takes `feature_dim` features."""
         robot, chain = self.dataset.robot, self.dataset.chain if feature_dim else None
         return LinkPositions(robot.lower, robot.upper, chain, self.device)
 
