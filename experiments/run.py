@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
@@ -161,9 +161,16 @@ def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...
 
 
 def _run_warm(run: Run, setup: tuple[Run, ...]) -> list[ResultRow]:
-    """Rows of a run, in a worker that is ready for all planners."""
+    """Rows of a run, in a worker that is ready for all planners; a fault of ours costs that run alone."""
     _warm_up(setup)
-    return rows_of(run, *_item(run.suite, run.item))
+    item, seconds = _item(run.suite, run.item)
+    try:
+        return rows_of(run, item, seconds)
+    except CvqmptError:
+        raise
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        return failed_rows(run, item, FailReason.PLANNER_ERROR, what)
 
 
 @lru_cache(maxsize=1)

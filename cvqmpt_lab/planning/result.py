@@ -17,7 +17,6 @@ class PlanStatus(StrEnum):
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
-    PLANNER_ERROR = "planner_error"
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,9 @@ def test_every_way_to_fail_has_its_reason():
     """A new status of planners or fault of certificates without a reason would fail a run after its work."""
     statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
     faults = {FailReason(f"uncertified_{kind}") for kind in FaultKind}
-    others = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED, FailReason.WORKER_DIED}
-    assert statuses | faults | others == set(FailReason)
+    phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}
+    ours = {FailReason.PLANNER_ERROR, FailReason.WORKER_DIED}
+    assert statuses | faults | phases | ours == set(FailReason)
 
 
 def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words(solution):

@@ -122,6 +122,18 @@ def dies_on(problem, always=True):
     return rows_of
 
 
+def test_a_fault_of_ours_costs_its_own_run_only_and_stands_in_the_table(tmp_path, monkeypatch):
+    real = runner.rows_of
+
+    def rows_of(run, item, seconds):
+        return real(run, item, seconds / (run.item - 10 if run.budget == ENOUGH else 1))
+
+    monkeypatch.setattr(runner, "rows_of", rows_of)
+    rows = run(Experiment("place-task", (10, 15), ("birrt",), (0,), ENOUGH), tmp_path)
+    assert [(row.problem, row.fail_reason) for row in rows] == [("10", "planner_error"), ("15", None)]
+    assert rows[0].detail.startswith("ZeroDivisionError: ")
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_worker_that_dies_costs_its_own_run_only(tmp_path, monkeypatch, jobs):
     monkeypatch.setattr(runner, "rows_of", dies_on(10))
