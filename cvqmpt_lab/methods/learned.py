@@ -6,7 +6,6 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,8 @@ from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
 from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.methods.observation import Observer
-from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_any
+from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
@@ -102,14 +101,7 @@ class MovedCodes:
 
 @lru_cache(maxsize=4)
 def _checkpoint(weights: Weights) -> Checkpoint | MPNetCheckpoint:
-    folder = resolve_model(weights.model or weights.kind, SHIPPED[weights.kind])
-    return LOADERS[weights.kind](folder)
-
-
-LOADERS: dict[str, Callable[[Path], Checkpoint | MPNetCheckpoint]] = {
-    "vq_mpt": load_checkpoint,
-    "mpnet": load_mpnet,
-}
+    return load_any(resolve_model(weights.model or weights.kind, SHIPPED[weights.kind]))
 
 
 def _vq_mpt(weights: Weights) -> Checkpoint:

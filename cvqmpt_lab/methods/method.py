@@ -59,10 +59,10 @@ class Method:
     needs_constraint: bool = False
 
     @staticmethod
-    def simple(name: str, needs_constraint: bool = False, **stages) -> "Method":
+    def simple(name: str, **stages) -> "Method":
         """A method without weights, its stages given as they are."""
         fixed = Stages(**stages)
-        return Method(name, lambda robot, weights: fixed, needs_constraint=needs_constraint)
+        return Method(name, lambda robot, weights: fixed)
 
     def with_model(self, model: str) -> "Method":
         """The same on other weights.

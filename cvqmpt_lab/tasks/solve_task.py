@@ -181,7 +181,8 @@ class _Run:
         problem = step.world.problem(self.task, step.phase)
         earlier, seconds = self.attempts.get(step.number, ()), step.goal_seconds
         step.goal_seconds = 0.0
-        fallback = self.method.unfit(problem) and f"{SUBSTITUTE}: {self.method.unfit(problem)}"
+        unfit = self.method.unfit(problem)
+        fallback = f"{SUBSTITUTE}: {unfit}" if unfit else ""
         reason = step.reason
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
