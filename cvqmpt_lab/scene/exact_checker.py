@@ -141,28 +141,13 @@ class CollisionChecker:
 
     def clearance(self, q: np.ndarray) -> float:
         """Smallest distance of all pairs [m]; zero or negative (penetration) in collision, inf without pairs."""
-        nearest = self._own_distance(q)[1]
+        nearest = self._own_distance(q)
         self._own.update()
         callback = coal.DistanceCallBackDefault()
         for _, manager, _ in self._links:
             manager.distance(self._world(0.0).phase, callback)
             nearest = min(nearest, callback.data.result.min_distance)
         return nearest if nearest < FARTHEST else np.inf
-
-    def nearest_pair(self, q: np.ndarray) -> tuple[CollidingPair | None, float]:
-        """The closest pair and its signed distance [m]."""
-        pair, nearest = self._own_distance(q)
-        self._own.update()
-        gaps, pieces, obstacles = self._box_gaps()
-        request = coal.DistanceRequest()
-        for flat in np.argsort(gaps, axis=None):
-            i, j = divmod(int(flat), max(len(obstacles), 1))
-            if gaps[i, j] > max(nearest, 0.0):
-                break
-            distance = coal.distance(pieces[i], obstacles[j], request, coal.DistanceResult())
-            if distance < nearest:
-                nearest, pair = distance, CollidingPair(self._pieces[i], self._obstacles[j].name)
-        return pair, float(nearest)
 
     def _world(self, swelling: float) -> "_World":
         """The obstacles in boxes that are swelled [m]."""
@@ -199,13 +184,13 @@ class CollisionChecker:
         apart = np.maximum(own[0][:, None] - boxes[1], boxes[0] - own[1][:, None])
         return np.linalg.norm(np.maximum(apart, 0.0), axis=2), pieces, obstacles
 
-    def _own_distance(self, q: np.ndarray) -> tuple[CollidingPair | None, float]:
-        """The closest of the robot's own pairs and its distance [m]; poses are ready after it."""
+    def _own_distance(self, q: np.ndarray) -> float:
+        """Smallest distance of the robot's own pairs [m]; poses are ready after it."""
         if len(self._geometry.collisionPairs) == 0:
             pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
-            return None, np.inf
+            return np.inf
         k = pin.computeDistances(self._model, self._data, self._geometry, self._own_results, q)
-        return self._own_pair(k), float(self._own_results.distanceResults[k].min_distance)
+        return float(self._own_results.distanceResults[k].min_distance)
 
     def _own_pair(self, index: int) -> CollidingPair:
         pair, objects = self._geometry.collisionPairs[index], self._geometry.geometryObjects

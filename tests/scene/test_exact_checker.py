@@ -2,6 +2,7 @@
 
 import time
 
+import coal
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -75,12 +76,25 @@ def test_self_collision_is_noticed_and_named(panda):
     assert str(pair) == f"{pair.first} and {pair.second}"
 
 
+def nearest_obstacle(checker, q):
+    """Name of the obstacle closest to a link, None where two links are closer, and the distance [m], by all pairs."""
+    nearest, name = checker._own_distance(q), None
+    checker._own.update()
+    _, pieces, obstacles = checker._box_gaps()
+    for piece in pieces:
+        for item, obstacle in zip(checker._obstacles, obstacles, strict=True):
+            distance = coal.distance(piece, obstacle, coal.DistanceRequest(), coal.DistanceResult())
+            if distance < nearest:
+                nearest, name = distance, item.name
+    return name, nearest
+
+
 def test_clearance_to_a_ball_is_the_distance_to_the_hulls(panda):
     rng, compared = np.random.default_rng(0), 0
     for q in panda.random_configurations(rng, 60):
         centre = panda.pose(q)[:3, 3] + rng.normal(0.0, 0.15, 3)
-        pair, clearance = CollisionChecker(panda, scene_with(ball(centre, 0.03))).nearest_pair(q)
-        if pair.second == "ball" and clearance > 0.0:
+        name, clearance = nearest_obstacle(CollisionChecker(panda, scene_with(ball(centre, 0.03))), q)
+        if name == "ball" and clearance > 0.0:
             compared += 1
             assert clearance == pytest.approx(distance_to_links(panda, q, centre) - 0.03, abs=1e-5)
     assert compared > 20
@@ -88,8 +102,8 @@ def test_clearance_to_a_ball_is_the_distance_to_the_hulls(panda):
 
 def test_clearance_is_negative_in_collision(panda):
     deep = CollisionChecker(panda, scene_with(ball(ahead_of_hand(panda, 0.05), 0.04)))
-    pair, depth = deep.nearest_pair(HOME)
-    assert pair.second == "ball" and -0.2 < depth < -0.01
+    name, depth = nearest_obstacle(deep, HOME)
+    assert name == "ball" and -0.2 < depth < -0.01
     assert deep.clearance(HOME) == pytest.approx(depth, abs=1e-9)
     near = CollisionChecker(panda, scene_with(ball(ahead_of_hand(panda, 0.2), 0.04)))
     assert 0.0 < near.clearance(HOME) < 0.1
@@ -144,7 +158,7 @@ def test_what_is_never_paired(panda):
     visible = scene_with(brick(ahead_of_hand(panda, 0.05), obstacle=False))
     assert not CollisionChecker(panda, visible).in_collision(HOME)
     far = CollisionChecker(panda, scene_with(brick((10.0, 0.0, 0.0))))
-    assert "brick" not in vars(far.nearest_pair(HOME)[0]).values()
+    assert nearest_obstacle(far, HOME)[0] != "brick"
 
 
 def test_batch_equals_single(panda, open_kitchen):
