@@ -101,20 +101,21 @@ class TaskSpaceRegion(Checked):
                 "cannot sample poses of a region whose position is unbounded: bound Bw rows 0-2"
             )
         lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
-        x = np.array([self._sample_displacement(rng, lower, upper) for _ in range(count)])
+        x = np.empty((0, 6))
+        for _ in range(1000):
+            drawn = rng.uniform(lower, upper, (count - len(x), 6))
+            short = (drawn[:, 3:] ** 2).sum(axis=1) <= np.pi**2  # a longer vector stands for another turn
+            x = np.concatenate([x, drawn[short]])
+            if len(x) == count:
+                break
+        else:
+            raise InvalidInputError(
+                "cannot sample poses of a region whose rotation bounds lie beyond angle pi"
+            )
         T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
         T_w_displaced[:, :3, :3] = Rotation.from_rotvec(x[:, 3:]).as_matrix()
         T_w_displaced[:, :3, 3] = x[:, :3]
-        return np.array([self.T0_w @ T @ self.Tw_e for T in T_w_displaced])
-
-    @staticmethod
-    def _sample_displacement(rng: np.random.Generator, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Position and rotation vector (6,) between bounds; a vector longer than pi would stand for another one."""
-        for _ in range(1000):
-            x = rng.uniform(lower, upper)
-            if np.linalg.norm(x[3:]) <= np.pi:
-                return x
-        raise InvalidInputError("cannot sample poses of a region whose rotation bounds lie beyond angle pi")
+        return self.T0_w @ T_w_displaced @ self.Tw_e
 
 
 def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
