@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from cvqmpt_lab.cameras.camera import DepthCamera, Lens
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts, MPNetSettings
@@ -18,7 +19,7 @@ from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.scene.cameras import CameraSettings, DepthCamera
+from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.kitchen import kitchen
 from experiments.rows import Run, path_hash, result_row
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
@@ -214,7 +215,7 @@ def test_direct_motions_are_checked_paths_or_nothing(tuning, solution):
 
 
 def test_observers_remember_scenes_by_content(tuning):
-    camera = CameraSettings(cameras=(DepthCamera((-2.0, 0.0, 1.0)),), width=32, height=32)
+    camera = CameraSettings(cameras=(DepthCamera((-2.0, 0.0, 1.0)),), lens=Lens(width=32, height=32))
     observer = Observer(camera, scenes=1)
     cloud = observer(tuning)
     assert len(cloud) > 20 and not cloud.flags.writeable

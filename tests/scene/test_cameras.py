@@ -1,141 +1,33 @@
-"""Depth cameras: rays against a search along them, what is culled, the published set-up, training's clouds."""
+"""Clouds of scenes: the published set-up, training's clouds, the arm in the picture."""
+
+from itertools import compress
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab.cameras.camera import KINECT, cameras_on_sphere
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import (
     BallCrop,
     BoxCrop,
     CameraSettings,
-    DepthCamera,
+    arm_objects,
     camera_cloud,
-    cameras_on_sphere,
-    depth_image,
     visible_points,
     voxel_means,
 )
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.scene.shapes import Box, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from experiments.labelled_scenes import SHAPES
-
-OCTAHEDRON = ConvexMesh(
-    0.2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
-)
-
-
-def tilted(xyz, yaw, roll):
-    T = pose(xyz, yaw)
-    c, s = np.cos(roll), np.sin(roll)
-    T[:3, :3] = T[:3, :3] @ [[1, 0, 0], [0, c, -s], [0, s, c]]
-    return T
-
-
-@pytest.fixture(scope="module")
-def mixed():
-    """Every kind of shape, turned, one behind the other, one half outside the picture, one far too close."""
-    shapes = {
-        "box": (Box((0.3, 0.5, 0.2)), tilted((0.1, 0.2, 0.1), 0.4, 0.7)),
-        "cylinder": (Cylinder(0.15, 0.5), tilted((-0.2, -0.1, 0.3), 1.0, 1.1)),
-        "flat": (Cylinder(0.3, 0.02), tilted((0.2, -0.4, -0.2), 0.0, 0.2)),
-        "sphere": (Sphere(0.2), tilted((0.4, -0.2, 0.4), 0.0, 0.0)),
-        "mesh": (OCTAHEDRON, tilted((0.3, 0.5, -0.2), 0.3, 0.5)),
-        "wall": (Box((0.1, 3.0, 3.0)), tilted((1.2, 0.0, 0.0), 0.0, 0.0)),
-        "rim": (Box((0.2, 0.2, 0.2)), tilted((0.0, 0.9, 0.0), 0.2, 0.0)),
-        "close": (Sphere(0.1), tilted((-1.7, 0.1, 0.15), 0.0, 0.0)),
-        "ground": (Box((50.0, 50.0, 9.0)), tilted((0.0, 0.0, -5.2), 0.0, 0.0)),
-    }
-    return Scene("mixed", tuple(SceneObject(name, *parts) for name, parts in shapes.items()))
-
-
-def holds(item, points):
-    """Whether points (m, 3) lie in an object; written apart from the rays."""
-    T = item.T_world_object
-    local = (points - T[:3, 3]) @ T[:3, :3]
-    match item.shape:
-        case Box(size):
-            return (np.abs(local) <= np.divide(size, 2)).all(1)
-        case Sphere(radius):
-            return np.linalg.norm(local, axis=1) <= radius
-        case Cylinder(radius, height):
-            return (np.linalg.norm(local[:, :2], axis=1) <= radius) & (np.abs(local[:, 2]) <= height / 2)
-    return np.abs(local).sum(1) <= 0.2  # the octahedron
-
-
-def marched(scene, camera, settings, row, column, step=0.0005):
-    """Depth at one pixel, by walking along its ray."""
-    tall = np.tan(np.radians(settings.vertical_fov) / 2)
-    x = ((column + 0.5) / settings.width * 2 - 1) * tall * settings.width / settings.height
-    y = (1 - (row + 0.5) / settings.height * 2) * tall
-    eye, ahead = np.array(camera.eye), np.subtract(camera.target, camera.eye)
-    ahead = ahead / np.linalg.norm(ahead)
-    right = np.cross(ahead, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    t = np.arange(0.0, settings.far, step)
-    points = eye + t[:, None] * (ahead + x * right + y * np.cross(right, ahead))
-    entries = []
-    for item in scene:
-        inside = holds(item, points)
-        first = np.flatnonzero(inside)
-        if len(first) and first[0] > 0 and t[first[0]] >= settings.near:
-            entries.append(t[first[0]])
-    return min(entries, default=np.inf)
-
-
-@pytest.mark.parametrize("eye", [(-2.0, 0.3, 0.4), (-0.6, -1.5, 1.2), (-1.0, 0.4, -1.3)], ids=str)
-def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
-    camera, settings = DepthCamera(eye), CameraSettings(width=40, height=30, near=0.5, far=4.0)
-    depth = depth_image(mixed, camera, settings)
-    assert depth.shape == (30, 40)
-    rng = np.random.default_rng(0)
-    pixels = [
-        (int(r), int(c)) for r, c in zip(rng.integers(0, 30, 150), rng.integers(0, 40, 150), strict=True)
-    ]
-    expected = np.array([marched(mixed, camera, settings, *pixel) for pixel in pixels])
-    found = np.array([depth[pixel] for pixel in pixels])
-    grazing = np.isfinite(expected) != np.isfinite(found)
-    grazing |= (
-        np.abs(np.where(np.isfinite(expected), expected, 0) - np.where(np.isfinite(found), found, 0)) > 0.002
-    )
-    assert grazing.sum() <= 2  # rays that touch an edge for less than the walk's step
-    assert len(np.unique(np.round(expected, 1))) > 5
-
-
-def test_every_object_is_seen_alone_as_among_others(mixed):
-    """The nearest of single pictures, each culled to its own rectangle, is the picture of all."""
-    camera, settings = DepthCamera((-2.0, 0.3, 0.4)), CameraSettings(width=60, height=60, near=0.2)
-    alone = [depth_image(Scene("one", (item,)), camera, settings) for item in mixed]
-    np.testing.assert_array_equal(np.min(alone, axis=0), depth_image(mixed, camera, settings))
-    seen = {item.name for item, depth in zip(mixed, alone, strict=True) if np.isfinite(depth).any()}
-    assert seen == {*mixed.names}
-    farther = depth_image(mixed, camera, CameraSettings(width=60, height=60, near=0.5))
-    assert (farther >= depth_image(mixed, camera, settings)).all()
-
-
-def test_a_camera_looks_through_what_it_stands_in():
-    ground = SceneObject("ground", Box((9.0, 9.0, 2.0)), pose((0.0, 0.0, -1.5)), obstacle=False)
-    ball = SceneObject("ball", Sphere(0.2), pose((0.0, 0.0, 0.0)))
-    below, above = cameras_on_sphere((0.0,), (-60.0, 60.0))
-    settings = CameraSettings(width=50, height=50)
-    scene = Scene("s", (ground, ball))
-    assert np.isfinite(depth_image(scene, above, settings)).all()
-    only_ball = depth_image(Scene("b", (ball,)), below, settings)
-    np.testing.assert_array_equal(depth_image(scene, below, settings), only_ball)
-    assert only_ball.min() == pytest.approx(
-        1.8, abs=2e-3
-    )  # the ball's pole, next to the middle of the picture
-    hidden = CameraSettings(width=50, height=50, obstacles_only=True)
-    np.testing.assert_array_equal(
-        np.isfinite(depth_image(scene, above, hidden)),
-        np.isfinite(depth_image(Scene("b", (ball,)), above, hidden)),
-    )
 
 
 def test_the_published_kitchen_cloud(open_kitchen):
@@ -158,6 +50,15 @@ def test_the_published_kitchen_cloud(open_kitchen):
         )
         on_surface |= outer & ~inner
     assert on_surface.all()
+
+
+def holds(item, points):
+    """Whether points (m, 3) lie in a box or a cylinder; written apart from the rays."""
+    local = (points - item.T_world_object[:3, 3]) @ item.T_world_object[:3, :3]
+    if isinstance(item.shape, Box):
+        return (np.abs(local) <= np.divide(item.shape.size, 2)).all(1)
+    side, end = item.shape.radius, item.shape.height / 2
+    return (np.linalg.norm(local[:, :2], axis=1) <= side) & (np.abs(local[:, 2]) <= end)
 
 
 def grown(shape, d):
@@ -229,10 +130,6 @@ def test_clouds_are_like_those_of_training(family):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: DepthCamera((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
-        (lambda: CameraSettings(width=0), "image of 0 x 224 pixels"),
-        (lambda: CameraSettings(vertical_fov=180.0), "an angle between 0 and 180"),
-        (lambda: CameraSettings(near=2.0, far=1.0), "give 0 < near < far"),
         (lambda: CameraSettings(voxel=0.0), "voxel of 0.0 m"),
         (lambda: CameraSettings(points=0), "cloud of 0 points"),
         (lambda: CameraSettings(noise=-0.1), "noise of -0.1 m"),
@@ -249,7 +146,19 @@ def test_an_object_that_is_a_cloud_already_is_refused():
         camera_cloud(Scene("s", (cloud,)), CameraSettings(), np.random.default_rng(0))
 
 
-def test_a_camera_may_look_straight_down():
-    scene = Scene("s", (SceneObject("box", Box((0.4, 0.4, 0.4)), np.eye(4)),))
-    depth = depth_image(scene, DepthCamera((0.0, 0.0, 2.0)), CameraSettings(width=9, height=9))
-    assert depth[4, 4] == pytest.approx(1.8)
+def test_the_arm_is_seen_where_it_stands():
+    """Every point of a view of the arm alone lies on a hull that the exact checker measures to be there."""
+    robot, scene = panda(), Scene("empty", ())
+    q = np.array([0.3, -0.5, 0.2, -1.9, 0.1, 1.7, 0.4])
+    moving = [piece.link > 0 for piece in robot.links]  # the checker never pairs the base with obstacles
+    objects = tuple(compress(arm_objects(robot, q), moving))
+    camera = cameras_on_sphere((30.0,), (25.0,), centre=(0.0, 0.0, 0.4))
+    settings = CameraSettings(cameras=camera, lens=KINECT, crop=BallCrop(radius=9.0), voxel=None)
+    cloud = camera_cloud(Scene("arm", objects), settings, np.random.default_rng(0))
+    assert 1500 < len(cloud) < 2500
+    towards = camera[0].eye - cloud[:40]
+    out = 0.01 * towards / np.linalg.norm(towards, axis=1)[:, None]
+    for points, touching in ((cloud[:40], 1.0), (cloud[:40] + out, 0.0)):
+        dots = [scene.with_objects(SceneObject("dot", Sphere(0.001), pose(point))) for point in points]
+        hit = np.mean([CollisionChecker(robot, dot).in_collision(q) for dot in dots])
+        assert hit == touching

@@ -1,0 +1,173 @@
+"""Views of virtual cameras: rays against a search along them, what is culled, what faces whom, points of images."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.cameras.camera import KINECT, DepthCamera, Lens, cameras_on_sphere
+from cvqmpt_lab.cameras.view import NOTHING, incidence, view_of
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.cameras import solids_of
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
+
+OCTAHEDRON = ConvexMesh(
+    0.2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+)
+
+
+def tilted(xyz, yaw, roll):
+    T = pose(xyz, yaw)
+    c, s = np.cos(roll), np.sin(roll)
+    T[:3, :3] = T[:3, :3] @ [[1, 0, 0], [0, c, -s], [0, s, c]]
+    return T
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Every kind of shape, turned, one behind the other, one half outside the picture, one far too close."""
+    shapes = {
+        "box": (Box((0.3, 0.5, 0.2)), tilted((0.1, 0.2, 0.1), 0.4, 0.7)),
+        "cylinder": (Cylinder(0.15, 0.5), tilted((-0.2, -0.1, 0.3), 1.0, 1.1)),
+        "flat": (Cylinder(0.3, 0.02), tilted((0.2, -0.4, -0.2), 0.0, 0.2)),
+        "sphere": (Sphere(0.2), tilted((0.4, -0.2, 0.4), 0.0, 0.0)),
+        "mesh": (OCTAHEDRON, tilted((0.3, 0.5, -0.2), 0.3, 0.5)),
+        "wall": (Box((0.1, 3.0, 3.0)), tilted((1.2, 0.0, 0.0), 0.0, 0.0)),
+        "rim": (Box((0.2, 0.2, 0.2)), tilted((0.0, 0.9, 0.0), 0.2, 0.0)),
+        "close": (Sphere(0.1), tilted((-1.7, 0.1, 0.15), 0.0, 0.0)),
+        "ground": (Box((50.0, 50.0, 9.0)), tilted((0.0, 0.0, -5.2), 0.0, 0.0)),
+    }
+    return Scene("mixed", tuple(SceneObject(name, *parts) for name, parts in shapes.items()))
+
+
+def holds(item, points):
+    """Whether points (m, 3) lie in an object; written apart from the rays."""
+    T = item.T_world_object
+    local = (points - T[:3, 3]) @ T[:3, :3]
+    match item.shape:
+        case Box(size):
+            return (np.abs(local) <= np.divide(size, 2)).all(1)
+        case Sphere(radius):
+            return np.linalg.norm(local, axis=1) <= radius
+        case Cylinder(radius, height):
+            return (np.linalg.norm(local[:, :2], axis=1) <= radius) & (np.abs(local[:, 2]) <= height / 2)
+    return np.abs(local).sum(1) <= 0.2  # the octahedron
+
+
+def depth_image(scene, camera, lens):
+    return view_of(solids_of(scene.objects), camera, lens).depth
+
+
+def marched(scene, camera, lens, row, column, step=0.0005):
+    """Depth at one pixel, by walking along its ray."""
+    tall = np.tan(np.radians(lens.vertical_fov) / 2)
+    x = ((column + 0.5) / lens.width * 2 - 1) * tall * lens.width / lens.height
+    y = (1 - (row + 0.5) / lens.height * 2) * tall
+    eye, ahead = np.array(camera.eye), np.subtract(camera.target, camera.eye)
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    t = np.arange(0.0, lens.far, step)
+    points = eye + t[:, None] * (ahead + x * right + y * np.cross(right, ahead))
+    entries = []
+    for item in scene:
+        inside = holds(item, points)
+        first = np.flatnonzero(inside)
+        if len(first) and first[0] > 0 and t[first[0]] >= lens.near:
+            entries.append(t[first[0]])
+    return min(entries, default=np.inf)
+
+
+@pytest.mark.parametrize("eye", [(-2.0, 0.3, 0.4), (-0.6, -1.5, 1.2), (-1.0, 0.4, -1.3)], ids=str)
+def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
+    camera, lens = DepthCamera(eye), Lens(width=40, height=30, near=0.5, far=4.0)
+    depth = depth_image(mixed, camera, lens)
+    assert depth.shape == (30, 40)
+    rng = np.random.default_rng(0)
+    pixels = [
+        (int(r), int(c)) for r, c in zip(rng.integers(0, 30, 150), rng.integers(0, 40, 150), strict=True)
+    ]
+    expected = np.array([marched(mixed, camera, lens, *pixel) for pixel in pixels])
+    found = np.array([depth[pixel] for pixel in pixels])
+    grazing = np.isfinite(expected) != np.isfinite(found)
+    grazing |= (
+        np.abs(np.where(np.isfinite(expected), expected, 0) - np.where(np.isfinite(found), found, 0)) > 0.002
+    )
+    assert grazing.sum() <= 2  # rays that touch an edge for less than the walk's step
+    assert len(np.unique(np.round(expected, 1))) > 5
+
+
+def test_every_object_is_seen_alone_as_among_others(mixed):
+    """The nearest of single pictures, each culled to its own rectangle, is the picture of all."""
+    camera, lens = DepthCamera((-2.0, 0.3, 0.4)), Lens(width=60, height=60, near=0.2)
+    alone = [depth_image(Scene("one", (item,)), camera, lens) for item in mixed]
+    np.testing.assert_array_equal(np.min(alone, axis=0), depth_image(mixed, camera, lens))
+    seen = {item.name for item, depth in zip(mixed, alone, strict=True) if np.isfinite(depth).any()}
+    assert seen == {*mixed.names}
+    farther = depth_image(mixed, camera, Lens(width=60, height=60, near=0.5))
+    assert (farther >= depth_image(mixed, camera, lens)).all()
+
+
+def test_a_camera_looks_through_what_it_stands_in():
+    ground = SceneObject("ground", Box((9.0, 9.0, 2.0)), pose((0.0, 0.0, -1.5)), obstacle=False)
+    ball = SceneObject("ball", Sphere(0.2), pose((0.0, 0.0, 0.0)))
+    below, above = cameras_on_sphere((0.0,), (-60.0, 60.0))
+    lens = Lens(width=50, height=50)
+    scene = Scene("s", (ground, ball))
+    assert np.isfinite(depth_image(scene, above, lens)).all()
+    only_ball = depth_image(Scene("b", (ball,)), below, lens)
+    np.testing.assert_array_equal(depth_image(scene, below, lens), only_ball)
+    assert only_ball.min() == pytest.approx(
+        1.8, abs=2e-3
+    )  # the ball's pole, next to the middle of the picture
+
+
+def test_normals_are_those_of_a_finite_difference_of_the_depth(mixed):
+    """Where neighbouring pixels see the same solid, the depths' slopes give the same angle."""
+    camera, lens = DepthCamera((-2.0, 0.3, 0.4)), Lens(width=300, height=300, near=0.5, far=4.0)
+    solids = solids_of(mixed.objects)
+    view = view_of(solids, camera, lens)
+    rays = lens.rays(camera)
+    points = camera.eye + np.where(np.isfinite(view.depth), view.depth, 1.0)[..., None] * rays
+    across, along = points[1:-1, 2:] - points[1:-1, :-2], points[:-2, 1:-1] - points[2:, 1:-1]
+    slope = np.cross(across, along)
+    middle, ray = view.solid[1:-1, 1:-1], rays[1:-1, 1:-1]
+    expected = -(slope * ray).sum(-1) / np.linalg.norm(slope, axis=-1) / np.linalg.norm(ray, axis=-1)
+    same = middle != NOTHING
+    for rows, columns in ((slice(2, None), slice(1, -1)), (slice(None, -2), slice(1, -1))):
+        same &= (view.solid[rows, columns] == middle) & (view.solid[columns, rows] == middle)
+    off = np.abs(incidence(view, solids)[1:-1, 1:-1] - expected)[same]
+    assert set(np.unique(middle[same])) >= set(range(6))
+    assert np.median(off) < 1e-3 and np.mean(off > 0.02) < 0.02  # the rest sees two faces of one solid
+    assert (incidence(view, solids)[view.solid == NOTHING] == 0.0).all()
+
+
+def test_points_lie_where_a_pinhole_camera_puts_them(mixed):
+    camera = DepthCamera((-1.4, 0.8, 0.9), (0.1, 0.0, 0.2))
+    view = view_of(solids_of(mixed.objects), camera, KINECT)
+    rows, columns = np.nonzero(np.isfinite(view.depth))
+    z, focal = view.depth[rows, columns], 0.5 * 288 / np.tan(np.radians(0.5 * 65.0))
+    seen = np.stack([(columns - 159.5) * z / focal, (rows - 143.5) * z / focal, z], axis=1)
+    T = camera.T_world_camera
+    np.testing.assert_allclose(seen @ T[:3, :3].T + T[:3, 3], view.points, atol=1e-12)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0) and len(z) > 50_000
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: DepthCamera((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
+        (lambda: Lens(width=0), "image of 0 x 224 pixels"),
+        (lambda: Lens(vertical_fov=180.0), "an angle between 0 and 180"),
+        (lambda: Lens(near=2.0, far=1.0), "give 0 < near < far"),
+    ],
+)
+def test_cameras_and_lenses_are_checked(make, message):
+    with pytest.raises(InvalidInputError, match=message):
+        make()
+
+
+def test_a_camera_may_look_straight_down():
+    scene = Scene("s", (SceneObject("box", Box((0.4, 0.4, 0.4)), np.eye(4)),))
+    depth = depth_image(scene, DepthCamera((0.0, 0.0, 2.0)), Lens(width=9, height=9))
+    assert depth[4, 4] == pytest.approx(1.8)
