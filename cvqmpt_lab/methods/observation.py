@@ -65,8 +65,9 @@ class Observer:
     def _look(self, scene: Scene) -> np.ndarray:
         clouds = [item for item in scene.objects if isinstance(item.shape, PointCloud)]
         if clouds:
-            rest = visible_points(scene.without(*(item.name for item in clouds)), self.settings)
-            return self.of_points(np.concatenate([_world_points(clouds), rest]))
+            rest = scene.without(*(item.name for item in clouds))
+            seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
+            return self.of_points(np.concatenate([_world_points(clouds), seen]))
         cloud = camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
         cloud.setflags(write=False)
         return cloud

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.cameras.camera import DepthCamera, Lens, cameras_on_sphere
+from cvqmpt_lab.cameras.noise import DepthNoise, MaterialShares, measured
 from cvqmpt_lab.cameras.solids import Ball, Cuboid, Drum, Polytope, Solid
-from cvqmpt_lab.cameras.view import view_of
+from cvqmpt_lab.cameras.view import View, view_of
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
@@ -57,7 +58,11 @@ class CameraSettings:
     voxel: float | None = 0.025
     """Edge of the grid in whose cells points are averaged [m]; None to keep all."""
     noise: float = 0.0
-    """Standard deviation added to every coordinate [m]."""
+    """Standard deviation added to every coordinate of the cloud [m]."""
+    errors: DepthNoise | None = None
+    """Of every camera; None: it measures perfectly."""
+    materials: MaterialShares = field(default_factory=MaterialShares)
+    """What objects are made of, which matters to errors."""
     points: int | None = None
     """Size of the cloud, drawn at random, repeated when there are fewer; None for what there is.
 
@@ -101,7 +106,7 @@ def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generato
     InvalidInputError
         If the scene has an object that is a point cloud already.
     """
-    return thinned(visible_points(scene, settings), settings, rng)
+    return thinned(visible_points(scene, settings, rng), settings, rng)
 
 
 def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
@@ -116,12 +121,21 @@ def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generat
     return points
 
 
-def visible_points(scene: Scene, settings: CameraSettings) -> FloatArray:
+def visible_points(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
     """Points (m, 3) [m] of all pixels of all cameras inside the crop."""
-    solids = solids_of(scene.obstacles if settings.obstacles_only else scene.objects)
-    seen = [view_of(solids, camera, settings.lens).points for camera in settings.cameras]
+    seen = [view.points for view in views_of(scene, settings, rng)]
     points = np.concatenate(seen) if seen else np.empty((0, 3))
     return points[settings.crop.contains(points)]
+
+
+def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> list[View]:
+    """What each camera sees of a scene, with its errors; materials are the same for all."""
+    solids = solids_of(scene.obstacles if settings.obstacles_only else scene.objects)
+    views = [view_of(solids, camera, settings.lens) for camera in settings.cameras]
+    if settings.errors is None:
+        return views
+    materials = settings.materials.drawn(len(solids), rng)
+    return [measured(view, solids, materials, settings.errors, rng) for view in views]
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:

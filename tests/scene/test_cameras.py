@@ -36,7 +36,7 @@ def test_the_published_kitchen_cloud(open_kitchen):
     settings = CameraSettings()
     eyes = np.array([camera.eye for camera in settings.cameras])
     np.testing.assert_allclose(np.abs(eyes), [[1.0834, 1.0834, 1.2856]] * 4, atol=1e-4)
-    points = visible_points(scene, settings)
+    points = visible_points(scene, settings, np.random.default_rng(0))
     assert 79_000 < len(points) < 80_600
     assert BoxCrop().contains(points).all() and len(np.unique(points[:, 2] < 0)) == 2
     cloud = camera_cloud(scene, settings, np.random.default_rng(0))
