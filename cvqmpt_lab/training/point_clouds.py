@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from cvqmpt_lab.models.config import require_sizes
+from cvqmpt_lab.training.camera_clouds import measured_points
 from cvqmpt_lab.training.paths import Shapes
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
@@ -43,6 +44,8 @@ class CloudSettings:
     """Random ones, at most."""
     density: float = 0.3
     """Standard deviation of the logarithm of each shape's density of points."""
+    measured: float = 0.0
+    """Probability that depth cameras measure the scene, with their errors and without `noise`, as in evaluation."""
 
     def __post_init__(self) -> None:
         require_sizes(points=self.points, cameras=self.cameras)
@@ -60,11 +63,26 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
     Points (settings.points, 3) float32 [m]. Few that are left are repeated; when nothing is left (an empty
     scene), the points lie far below the robot, at the crop's lower end.
     """
-    found: list[np.ndarray] = []
+    by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
+    points = (_measured if by_cameras else _drawn)(shapes, settings, rng)
+    if len(points) == 0:
+        points = _lowest(settings.crop)
+    if len(points) < settings.points:
+        points = points[np.arange(settings.points) % len(points)]
+    if settings.noise > 0.0 and not by_cameras:
+        points = points + np.float32(settings.noise) * rng.standard_normal(points.shape, dtype=np.float32)
+    return points
+
+
+def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
+    """Points (k, 3) drawn on surfaces, as many as are wanted or can be found."""
+    found = [np.empty((0, 3), dtype=np.float32)]
     missing = settings.points
     if len(shapes):
         weights = _areas(shapes) * np.exp(settings.density * rng.standard_normal(len(shapes)))
-        cameras = _cameras(settings, rng)
+        hides = rng.random() < settings.occlusion
+        eyes = _eyes(settings, rng)
+        cameras = eyes if hides else None
         chance = 0.7 if cameras is None else 0.5
         for _ in range(_ROUNDS):
             draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
@@ -74,14 +92,14 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
             if missing == 0:
                 break
             chance = max(0.05, len(seen) / draw)
-    points = np.concatenate(found) if found else np.empty((0, 3), dtype=np.float32)
-    if len(points) == 0:
-        points = _lowest(settings.crop)
-    if len(points) < settings.points:
-        points = points[np.arange(settings.points) % len(points)]
-    if settings.noise > 0.0:
-        points = points + np.float32(settings.noise) * rng.standard_normal(points.shape, dtype=np.float32)
-    return points
+    return np.concatenate(found)
+
+
+def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
+    """Points (k, 3) that depth cameras measure, no more than are wanted."""
+    centre = np.array(settings.crop.centre)
+    points = measured_points(shapes, _eyes(settings, rng), centre, rng)
+    return points[_inside_crop(points, settings.crop)][: settings.points]
 
 
 def _lowest(crop: CropSettings) -> np.ndarray:
@@ -102,13 +120,9 @@ def _areas(shapes: Shapes) -> np.ndarray:
     return np.where(kind == BOX, box, np.where(kind == CYLINDER, cylinder, sphere))
 
 
-def _cameras(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray | None:
-    """Eyes (c, 3) 2 m from the crop's centre, above its floor plane mostly; None when nothing hides."""
-    hides = rng.random() < settings.occlusion
-    count = int(rng.integers(1, settings.cameras + 1))
-    directions = rng.standard_normal((count, 3))
-    if not hides:
-        return None
+def _eyes(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
+    """Where one or more cameras stand (c, 3): 2 m from the crop's centre, above its floor plane [m]."""
+    directions = rng.standard_normal((int(rng.integers(1, settings.cameras + 1)), 3))
     directions[:, 2] = np.abs(directions[:, 2])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return (np.array(settings.crop.centre) + 2.0 * directions).astype(np.float32)

@@ -5,20 +5,27 @@ import time
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
+from cvqmpt_lab.cameras.camera import KINECT, DepthCamera
+from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import SetAbstractionConfig
 from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel
 from cvqmpt_lab.models.serial_chain import SerialChain
+from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, visible_points
+from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
+from cvqmpt_lab.training.camera_clouds import measured_points
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
 from cvqmpt_lab.training.sequences import code_sequences
+from experiments.labelled_scenes import SHAPES
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
 
@@ -161,6 +168,28 @@ def test_occlusion_hides_surfaces_that_face_away():
     mean = cloud.mean(0)
     assert np.linalg.norm(mean) > 0.05  # less than half of a sphere is seen by one camera
     assert (cloud @ mean > 0).mean() > 0.95
+
+
+def test_measured_clouds_are_those_of_evaluation_cameras():
+    """Two cameras at the same places see the same scene by either way, up to the pixels' size."""
+    scene, settings = random_scene(3), CloudSettings(points=1024, measured=1.0, cameras=2)
+    kinds, sizes, poses = [], [], []
+    for item in scene.obstacles:
+        kind, size = SHAPES[type(item.shape)](item.shape)
+        kinds.append(kind), sizes.append(size), poses.append(item.T_world_object[:3])
+    shapes = Shapes(np.array(kinds, np.uint8), np.array(sizes, np.float32), np.array(poses, np.float32))
+    eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
+    ours = measured_points(shapes, eyes, np.array(settings.crop.centre), np.random.default_rng(0))
+    cameras = tuple(DepthCamera(tuple(eye), settings.crop.centre) for eye in eyes)
+    seen = CameraSettings(cameras=cameras, lens=KINECT, crop=BallCrop(radius=9.0), errors=DepthNoise())
+    theirs = visible_points(scene, seen, np.random.default_rng(1))
+    for some, others in ((ours, theirs), (theirs, ours)):
+        assert np.median(cKDTree(others).query(some)[0]) < 0.02
+    one, same = (sample_cloud(shapes, settings, np.random.default_rng(0)) for _ in range(2))
+    np.testing.assert_array_equal(one, same)
+    assert one.shape == (1024, 3) and one.dtype == np.float32 and len(np.unique(one, axis=0)) > 600
+    empty = Shapes(shapes.kind[:0], shapes.size[:0], shapes.pose[:0])
+    assert sample_cloud(empty, settings, np.random.default_rng(0)).shape == (1024, 3)
 
 
 def test_clouds_are_made_fast(dataset):
