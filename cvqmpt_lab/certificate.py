@@ -16,7 +16,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.motion_proof import MotionProof, prove_free
 
-SPACING = 0.04  # [rad] between states at which the constraint is looked at first
+SPACING = 0.11  # [rad] between states at which the constraint is looked at first
 TOLERANCE = 1e-3  # [m, rad] constraint violation allowed
 LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
 END_TOLERANCE = 1e-6  # [rad] at start and goal

@@ -14,7 +14,8 @@ BEND = 2.81
 Jacobian's inverse is at most pi / 2, its derivative 1.29, and the angular velocity changes at most by half."""
 RATE = 0.5 * np.pi
 """Nor a larger first one, up to angle pi, where the rotation vector changes its sign."""
-MOST_HALVINGS = 12
+MOST_PARTS, ROUNDS = 8, 4
+"""Into how many a stretch is cut at once, and how often."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,19 @@ def largest_violation(
     at, most = None, -np.inf
     begin = evenly_spaced(states, spacing)
     for region in regions:
-        q, use = begin, None
-        for _ in range(MOST_HALVINGS):
-            use = _use(robot, region, q)
+        q, use = begin, _use(robot, region, begin, displacements(robot, region, begin))
+        for _ in range(ROUNDS):
             doubtful = use.highest + use.between > tolerance
             if use.outside.max() > tolerance or not doubtful.any():
                 break
-            middles = 0.5 * (q[:-1] + q[1:])[doubtful]
-            q = np.insert(q, np.flatnonzero(doubtful) + 1, middles, axis=0)
-        assert use is not None
+            allowed = np.maximum(tolerance - use.highest, 1e-3 * use.between)
+            parts = np.clip(np.ceil(np.sqrt(use.between / allowed)), 2, MOST_PARTS).astype(int)
+            counts = np.where(doubtful, parts, 1)
+            known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
+            x, new = np.empty((len(q), 6)), np.ones(len(q), dtype=bool)
+            new[known] = False
+            x[known], x[new] = use.x, displacements(robot, region, q[new])
+            use = _use(robot, region, q, x)
         radians, metres = max(radians, use.radians), max(metres, use.metres)
         highest = max(highest, float((use.highest + use.between).max(initial=use.outside.max())))
         if use.outside.max() > most:
@@ -63,6 +68,11 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
     """States (m, n) with the straight segments between them cut into pieces of at most spacing [rad]."""
     lengths = np.linalg.norm(np.diff(states, axis=0), axis=1)
     counts = np.maximum(1, np.ceil(lengths / spacing)).astype(int)
+    return _cut(states, counts)
+
+
+def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """States (m, n) with segment k between them cut into counts[k] pieces."""
     segment = np.repeat(np.arange(len(counts)), counts)
     share = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[segment]
     cut = states[segment] + share[:, None] * (states[segment + 1] - states[segment])
@@ -73,6 +83,8 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
 class _Use:
     """A region along m states, and the m - 1 stretches between them."""
 
+    x: np.ndarray
+    """(m, 6) displacements [m, rad]."""
     outside: np.ndarray
     """(m,) distance outside the bounds, negative inside [m, rad]."""
     radians: float
@@ -85,9 +97,9 @@ class _Use:
     """(m - 1,) what may be added inside the stretch [m, rad]."""
 
 
-def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray) -> _Use:
-    x, (lower, upper) = displacements(robot, region, q), region.Bw.T
-    rows = region.bounded_rows
+def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) -> _Use:
+    """What states q (m, n) with displacements x (m, 6) say of the region."""
+    (lower, upper), rows = region.Bw.T, region.bounded_rows
     excess = np.full_like(x, -np.inf)
     excess[:, rows] = np.maximum(lower - x, x - upper)[:, rows]
     outside = excess.max(axis=1)
@@ -101,6 +113,7 @@ def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray) -> _Use:
     position = 0.25 * turn * (lever * turn + slide)
     between = np.maximum(rotation * bool((rows >= 3).any()), position * bool((rows < 3).any()))
     return _Use(
+        x,
         outside,
         max(float(excess[:, 3:].max()), 0.0),
         max(float(excess[:, :3].max()), 0.0),

@@ -62,8 +62,6 @@ def bound_usage(robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.nda
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
     """Where the end effector stands in a region, (m, 6): position [m] and rotation vector [rad] that `Bw` bounds."""
-    poses = np.array([robot.pose(q) for q in states])
-    moving = region.reference_link(robot)[0] != 0
-    references = np.array([region.reference_pose(robot, q) for q in (states if moving else states[:1])])
+    poses, references = robot.poses(states), region.reference_poses(robot, states)
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
     return np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])

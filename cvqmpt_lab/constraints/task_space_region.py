@@ -78,9 +78,9 @@ class TaskSpaceRegion(Checked):
         """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
         return 0, self.T0_w
 
-    def reference_pose(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w (4, 4) at configuration q (n,), by pinocchio."""
-        return self.T0_w
+    def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """T_world_w at configurations q (k, n), by pinocchio: (1, 4, 4) where it is the same at all, else (k, 4, 4)."""
+        return self.T0_w[None]
 
     @property
     def bounded_rows(self) -> np.ndarray:

@@ -27,9 +27,9 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
         row, T_link_base = robot.link_of(self.base)
         return row, T_link_base @ self.T0_w
 
-    def reference_pose(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w (4, 4) at configuration q (n,), by pinocchio."""
-        return robot.pose(q, self.base) @ self.T0_w
+    def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """T_world_w (k, 4, 4) at configurations q (k, n), by pinocchio."""
+        return robot.poses(q, self.base) @ self.T0_w
 
     def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
         """The region in the world while the base stands at a pose (4, 4)."""

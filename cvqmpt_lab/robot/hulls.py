@@ -1,5 +1,7 @@
 """Collision shapes of links as convex polytopes."""
 
+from itertools import product
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -79,6 +81,14 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     raise InvalidInputError(
         f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
     )
+
+
+def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
+    """Points (n, 3) [m] whose hull contains any shape: vertices of a polytope, else the corners of its box."""
+    if isinstance(shape, coal.ConvexBase):
+        return hull_vertices(shape)
+    shape.computeLocalAABB()
+    return np.array(list(product(*zip(shape.aabb_local.min_, shape.aabb_local.max_, strict=True))))
 
 
 def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.ndarray:

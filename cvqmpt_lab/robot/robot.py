@@ -136,12 +136,19 @@ class Robot:
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
         """T_world_frame (4, 4) by pinocchio; the end effector unless another frame is named."""
+        return self.poses(np.asarray(q)[None], frame)[0]
+
+    def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
+        """The same at configurations (k, n), as (k, 4, 4)."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
             raise InvalidInputError(f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`")
         frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
-        pin.forwardKinematics(self.model, self._data, np.asarray(q, dtype=float))
-        return pin.updateFramePlacement(self.model, self._data, frame_id).homogeneous
+        poses = np.empty((len(q), 4, 4))
+        for T, row in zip(poses, np.asarray(q, dtype=float), strict=True):
+            pin.forwardKinematics(self.model, self._data, row)
+            T[:] = pin.updateFramePlacement(self.model, self._data, frame_id).homogeneous
+        return poses
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
         """Pose row that carries a body frame, and T_link_frame (4, 4); UnknownChoiceError lists the frames."""

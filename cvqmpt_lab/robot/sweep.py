@@ -5,88 +5,110 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.robot.hulls import enclosing_points
 from cvqmpt_lab.robot.robot import Robot
 
 
 class Sweep:
-    """How far points of a robot can move while its configuration stays in a hull."""
+    """How far points of a robot can move while its configuration stays in a hull; many hulls at once."""
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
         """links: joints whose motion in the world is asked for; pairs of pieces are the geometry's."""
+        self._model, self._data = robot.model, robot.model.createData()
         objects, joints = geometry.geometryObjects, robot.model.njoints
         support = np.zeros((joints, robot.dof), dtype=bool)
         balls = np.zeros((joints, 4))
         for k in range(1, joints):
             support[k, [robot.model.idx_vs[i] for i in robot.model.supports[k] if i > 0]] = True
-            balls[k] = _ball_around([_ball(item) for item in objects if item.parentJoint == k])
+            balls[k] = _ball_around([item for item in objects if item.parentJoint == k])
         pairs = [
             (objects[p.first].parentJoint, objects[p.second].parentJoint) for p in geometry.collisionPairs
         ]
         unique, pair = np.unique(np.array(pairs, dtype=int).reshape(-1, 2), axis=0, return_inverse=True)
         a, b = unique.T
         alone = np.array(links, dtype=int)
-        self._in_world = _Motions(alone, support[alone], balls)
+        self._centres = [(int(k), balls[k, :3].copy()) for k in np.unique(np.concatenate([alone, a, b]))]
+        self._in_world = _Motions(alone, support[alone], balls, robot.kinematics.prismatic)
         sides = np.concatenate([support[a] & ~support[b], support[b] & ~support[a]])
-        self._of_pairs = _Motions(np.concatenate([a, b]), sides, balls)
+        self._of_pairs = _Motions(np.concatenate([a, b]), sides, balls, robot.kinematics.prismatic)
         self._pair = pair.reshape(-1)
 
-    def in_world(self, data: pin.Data, changes: np.ndarray) -> np.ndarray:
-        """Bounds (l,) [m] on the motion of any point of each link, from where data has it.
+    def in_world(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+        """Bounds (k, l) [m] on the motion of any point of each link, from where it is at q (k, n).
 
-        changes: (k, n), to the corners of a hull of configurations; the bound holds for all in it.
+        hulls: (k, c, n), corners of a hull of configurations around each; the bounds hold for all in it.
         """
-        return self._in_world.bounds(data, changes)
+        return self._in_world.bounds(*self._posed(q), hulls - q[:, None])
 
-    def between(self, data: pin.Data, changes: np.ndarray) -> np.ndarray:
-        """Bounds (p,) [m] on the motion of any two points of each pair of pieces against each other."""
-        return self._of_pairs.bounds(data, changes).reshape(2, -1).sum(0)[self._pair]
+    def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+        """Bounds (k, p) [m] on the motion of any two points of each pair of pieces against each other."""
+        bounds = self._of_pairs.bounds(*self._posed(q), hulls - q[:, None])
+        return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair]
+
+    def _posed(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """At each of q (k, n): the Jacobians' columns (6, k, n), and the centres of the joints' balls (3, k, j)."""
+        columns, poses = np.empty((len(q), 6, self._model.nv)), self._data.oMi
+        centres = np.zeros((len(q), self._model.njoints, 3))
+        for row, column, moved in zip(q, columns, centres, strict=True):
+            column[:] = pin.computeJointJacobians(self._model, self._data, row)
+            for k, centre in self._centres:
+                moved[k] = poses[k].act(centre)
+        return columns.transpose(1, 0, 2), centres.transpose(2, 0, 1)
 
 
 class _Motions:
     """Some links, each moved by some joints while the others stand still."""
 
-    def __init__(self, links: np.ndarray, moving: np.ndarray, balls: np.ndarray) -> None:
+    def __init__(self, links: np.ndarray, moving: np.ndarray, balls: np.ndarray, slides: np.ndarray) -> None:
         """links: (l,) joints that carry them. moving: (l, n). balls: (joints, 4), around what each carries."""
-        joints, self._row = np.unique(links, return_inverse=True)
-        self._balls = [(int(k), balls[k, :3].copy()) for k in joints]
-        self._moving, self._radii = moving.astype(float), balls[links, 3]
+        self._links, self._moving, self._radii = links, moving.astype(float), balls[links, 3, None]
+        self._turning = (moving & ~slides).astype(float)
 
-    def bounds(self, data: pin.Data, changes: np.ndarray) -> np.ndarray:
-        """How far any point of each link can move (l,) [m].
+    def bounds(self, columns: np.ndarray, centres: np.ndarray, changes: np.ndarray) -> np.ndarray:
+        """How far any point of each link can move (k, l) [m], changes (k, c, n) leading to corners of hulls.
 
-        To first order a point moves as the Jacobian says. What is left is at most angle * way, where `angle` is the
-        sum of all joints' turns, and `way` the sum of what each joint alone moves the point: its distance from the
-        axis, which itself grows by no more than the way.
+        To first order a point moves as the Jacobian says. The rest is half the second derivative along a straight
+        line. Of two joints i and j further out, it holds at most `lever_j`, how fast j moves the point, for every turn
+        of i: d/dq_i of (axis_j x (point - origin_j)) is a rotation of that. A lever grows as the joints behind it move.
         """
         if len(self._radii) == 0:
-            return np.zeros(0)
-        J, poses = data.J, data.oMi
-        x, y, z = np.array([poses[k].act(centre) for k, centre in self._balls]).T[:, self._row, None]
-        v0, v1, v2, w0, w1, w2 = J
-        twists = np.empty(
-            (6, *self._moving.shape)
-        )  # of each link, by each joint: its centre's, then its turn
-        twists[0], twists[1], twists[2] = v0 + w1 * z - w2 * y, v1 + w2 * x - w0 * z, v2 + w0 * y - w1 * x
-        twists[3:] = J[3:, None]
+            return np.zeros((len(changes), 0))
+        v0, v1, v2, w0, w1, w2 = columns[:, :, None]
+        x, y, z = centres[:, :, self._links, None]
+        twists = np.empty((2, 3, len(changes), *self._moving.shape))  # of each link's centre, and its turn
+        twists[0] = v0 + w1 * z - w2 * y, v1 + w2 * x - w0 * z, v2 + w0 * y - w1 * x
+        twists[1] = columns[3:, :, None]
         twists *= self._moving
-        joint = np.sqrt(np.einsum("aclj,aclj->alj", *[twists.reshape(2, 3, *self._moving.shape)] * 2))
-        total = twists @ changes.T
-        first = np.sqrt(np.einsum("aclk,aclk->alk", *[total.reshape(2, 3, *total.shape[1:])] * 2))
-        furthest = (first[0] + first[1] * self._radii[:, None]).max(axis=1)
-        way, angle = joint @ np.abs(changes).max(axis=0)
-        way = way + angle * self._radii
-        return np.where(angle < 0.8, furthest + angle * way / (1.0 - np.minimum(angle, 0.8)), np.inf)
+        first = _lengths(twists @ changes.transpose(0, 2, 1))
+        furthest = (first[0] + first[1] * self._radii).max(axis=2)
+        speeds, turns = _lengths(twists)
+        most = np.abs(changes).max(axis=1)[:, None]
+        turned = most * self._turning
+        around = 2.0 * np.cumsum(turned, axis=2) - turned
+        way, second = np.zeros(furthest.shape), np.zeros(furthest.shape)
+        for j in range(self._moving.shape[1] - 1, -1, -1):
+            moved = (
+                most[..., j] * self._moving[:, j] * (speeds[..., j] + turns[..., j] * self._radii[:, 0] + way)
+            )
+            second += 0.5 * around[..., j] * moved
+            way += moved
+        return furthest + second
 
 
-def _ball(item: pin.GeometryObject) -> np.ndarray:
-    """Centre in the joint's frame and radius of a ball around a piece, (4,) [m]."""
-    item.geometry.computeLocalAABB()
-    return np.append(item.placement.act(np.array(item.geometry.aabb_center)), item.geometry.aabb_radius)
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    """Of vectors (2, 3, ...) along the second axis."""
+    return np.sqrt(np.einsum("ai...,ai...->a...", vectors, vectors))
 
 
-def _ball_around(balls: list[np.ndarray]) -> np.ndarray:
-    """A ball (4,) that holds others (4,) [m]."""
-    if not balls:
+def _ball_around(items: Sequence[pin.GeometryObject]) -> np.ndarray:
+    """Centre in the joint's frame and radius of a ball that holds pieces, (4,) [m]."""
+    if not items:
         return np.zeros(4)
-    centre = np.mean(balls, axis=0)[:3]
-    return np.append(centre, max(np.linalg.norm(ball[:3] - centre) + ball[3] for ball in balls))
+    corners = np.concatenate([_corners(item) for item in items])
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    return np.append(centre, np.linalg.norm(corners - centre, axis=1).max())
+
+
+def _corners(item: pin.GeometryObject) -> np.ndarray:
+    """Points (k, 3) in the joint's frame whose convex hull holds a piece [m]."""
+    return enclosing_points(item.geometry) @ item.placement.rotation.T + item.placement.translation

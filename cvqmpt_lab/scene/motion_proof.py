@@ -1,11 +1,11 @@
 """Whether a motion is free at every state of it, not only at samples.
 
-At a state, distances by coal say how far any link may move before it can touch anything; the next state to look at
-is where the stretch proven so far ends. Where the robot is so close that this leads nowhere, the motion is passed
-in steps of FINEST, and the proof says so.
+In the middle of a stretch, distances by coal are compared with how far any link can move inside it. A stretch that
+is not proven is cut, finer the closer something was; where the robot is so close that this leads nowhere, stretches
+of FINEST are passed when their middle is free, and the proof says so.
 """
 
-from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,12 +13,14 @@ import numpy as np
 
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 
-FIRST, LONGEST = 0.02, 0.4
-"""[rad] half of the first stretch tried, and of the longest."""
+LONGEST = 0.2
+"""[rad] half of a stretch that is tried first."""
 FINEST = 1e-4
 """[rad] half of a stretch that is passed when it cannot be proven and its middle is free."""
-WIDER, NARROWER = 1.4, 0.5
-"""How stretches change after a proof and after none."""
+MOST_PARTS = 5
+"""A stretch is cut into at once."""
+BATCH = 64
+"""Stretches looked at together; they are next to each other, so that little is wasted before a collision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +40,10 @@ class MotionProof:
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     """Prove that straight joint motions through states (m, n), m >= 1, touch nothing; stops at a collision."""
     line = _Polyline(states)
-    obstacles = _march(line, checker.clear_of_obstacles, checker.in_collision)
+    obstacles = _walk(line, checker.room_among_obstacles, checker.in_collision)
     if obstacles.colliding is not None:
         return obstacles
-    itself = _march(line, checker.clear_of_itself, checker.in_collision)
+    itself = _walk(line, checker.room_in_itself, checker.in_collision)
     return MotionProof(
         itself.colliding,
         max(obstacles.unproven, itself.unproven),
@@ -50,30 +52,37 @@ def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     )
 
 
-def _march(
-    line: "_Polyline", clear: Callable[[np.ndarray, np.ndarray], bool], hits: Callable[[np.ndarray], bool]
+def _walk(
+    line: "_Polyline",
+    room: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    hits: Callable[[np.ndarray], bool],
 ) -> MotionProof:
-    """Walk along a line in stretches that are clear around their middle."""
-    done, half, looks, unproven = 0.0, FIRST, 0, 0.0
+    """Prove stretch after stretch; room: see `CollisionChecker.room_among_obstacles`."""
+    ahead, looks, unproven = deque(_parts(0.0, 0.5 * line.length, LONGEST)), 0, 0.0
     proven: list[tuple[float, np.ndarray]] = []
-    while done < line.length or looks == 0:
-        half = min(half, 0.5 * (line.length - done))
-        middle, hull = line.stretch(done, half)
-        looks += 1
-        if not clear(middle, hull):
-            if half > FINEST:
-                half *= NARROWER
-                continue
-            if hits(middle):
-                return MotionProof(middle, unproven, np.empty((0, len(middle))), looks)
-            unproven = max(unproven, 2.0 * half)
-        proven.append((half, middle))
-        done += 2.0 * half
-        half = min(WIDER * max(half, FINEST), LONGEST)
-        if line.length - done < 1e-12:
-            break
-    order = np.argsort([room for room, _ in proven], kind="stable")
+    while ahead:
+        batch = [ahead.popleft() for _ in range(min(BATCH, len(ahead)))]
+        middles, hulls = line.stretches(np.array(batch))
+        left: list[tuple[float, float]] = []
+        for (begin, half), middle, share in zip(batch, middles, room(middles, hulls).tolist(), strict=True):
+            looks += 1
+            if share < 1.0:
+                if (share <= 0.0 or half <= FINEST) and hits(middle):
+                    return MotionProof(middle, unproven, np.empty((0, len(middle))), looks)
+                if half > FINEST:
+                    left += _parts(begin, half, half * max(share, 1.0 / MOST_PARTS))
+                    continue
+                unproven = max(unproven, 2.0 * half)
+            proven.append((half, middle))
+        ahead.extendleft(reversed(left))
+    order = np.argsort([half for half, _ in proven], kind="stable")
     return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks)
+
+
+def _parts(begin: float, half: float, aim: float) -> list[tuple[float, float]]:
+    """A stretch, by its begin and half its length, in parts of at most half length `aim` [rad]."""
+    count = max(1, int(np.ceil(half / aim)))
+    return [(begin + 2.0 * k * half / count, half / count) for k in range(count)]
 
 
 class _Polyline:
@@ -83,18 +92,25 @@ class _Polyline:
         along = np.cumsum(np.linalg.norm(np.diff(states, axis=0), axis=1))
         apart = np.diff(along, prepend=0.0) > 0.0  # steps too short to change the distance are none
         self._states = states[np.concatenate([[True], apart])]
-        self._along = [0.0, *along[apart].tolist()]
-        self.length = self._along[-1]
+        self._along = np.concatenate([[0.0], along[apart]])
+        self.length = float(self._along[-1])
 
-    def stretch(self, begin: float, half: float) -> tuple[np.ndarray, np.ndarray]:
-        """The middle (n,) of a stretch, and its ends with all states between them (k, n)."""
+    def stretches(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Middles (k, n) of stretches (k, 2), begin and half length; and their ends with all states between them.
+
+        The latter as (k, c, n): shorter ones repeat their end.
+        """
         states, along = self._states, self._along
         if len(states) == 1:
-            return states[0], states
-        ends, rows = [], []
-        for mark in (begin, begin + half, begin + 2.0 * half):
-            row = min(bisect_right(along, mark) - 1, len(along) - 2)
-            share = (mark - along[row]) / (along[row + 1] - along[row])
-            ends.append(states[row] + share * (states[row + 1] - states[row]))
-            rows.append(row)
-        return ends[1], np.vstack((ends[0], *states[rows[0] + 1 : rows[2] + 1], ends[2]))
+            return states, states[None]
+        marks = stretches[:, :1] + stretches[:, 1:] * (0.0, 1.0, 2.0)
+        rows = np.clip(np.searchsorted(along, marks, side="right") - 1, 0, len(along) - 2)
+        share = (marks - along[rows]) / (along[rows + 1] - along[rows])
+        begins, middles, ends = np.moveaxis(
+            states[rows] + share[..., None] * (states[rows + 1] - states[rows]), 1, 0
+        )
+        first, last = rows[:, 0] + 1, rows[:, 2]
+        between = first[:, None] + np.arange(max(0, int((last - first).max()) + 1))
+        inside = between <= last[:, None]
+        corners = np.where(inside[..., None], states[np.where(inside, between, 0)], ends[:, None])
+        return middles, np.concatenate([begins[:, None], corners, ends[:, None]], axis=1)

@@ -24,13 +24,12 @@ def test_no_point_moves_further_than_the_bound(request, name):
     geometry = robot.collision_model
     joints = [item.parentJoint for item in geometry.geometryObjects]
     links = sorted({k for k in joints if k > 0})
-    sweep, data = Sweep(robot, geometry, links), robot.model.createData()
+    sweep = Sweep(robot, geometry, links)
     rng, used = np.random.default_rng(0), []
     for size in 10.0 ** rng.uniform(-3.0, -0.7, 40):
         q = robot.random_configurations(rng, 1)[0]
         hull = q + size * rng.standard_normal((3, robot.dof))
-        pin.computeJointJacobians(robot.model, data, q)
-        bounds, between = sweep.in_world(data, hull - q), sweep.between(data, hull - q)
+        (bounds,), (between,) = sweep.in_world(q[None], hull[None]), sweep.between(q[None], hull[None])
         before = placed(robot, geometry, q)
         for weights in rng.dirichlet(np.ones(4), 10):
             after = placed(robot, geometry, weights @ np.vstack([hull, q]))
