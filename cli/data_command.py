@@ -1,23 +1,28 @@
-"""`cvqmpt data`: make training paths."""
+"""`cvqmpt data`: make training data."""
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int
 from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.scene.families import FAMILIES
+from experiments.roadmap_data import RoadmapRecipe
 from experiments.run import default_jobs
-from experiments.training_data import PANDA, Recipe, generate
+from experiments.training_data import PANDA, Recipe, SceneRecipe, generate
 from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
     "cvqmpt data generate --robot ur5 --scenes 1000 --paths-per-scene 50 --out data/ur5",
+    "cvqmpt data generate --labels roadmap --scenes 20000 --out data/roadmap",
     "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
 )
 ACTIONS = ("generate",)
+LABELS: Mapping[str, type[SceneRecipe]] = {"paths": Recipe, "roadmap": RoadmapRecipe}
+"""What scenes are labelled with: near-shortest paths; or verdicts on a dictionary's roadmap and paths through it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--family", default=",".join(FAMILIES), metavar="A,B", help=f"of {', '.join(FAMILIES)} (all, in turn)"
+    )
+    parser.add_argument(
+        "--labels",
+        default="paths",
+        help=f"{' or '.join(LABELS)}: near-shortest paths, or verdicts on the shipped dictionary's nodes and edges "
+        "and shortest paths through them (paths)",
     )
     parser.add_argument("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
     parser.add_argument(
@@ -45,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
     if args.action not in ACTIONS:
         raise UnknownChoiceError("action", args.action, ACTIONS)
     families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
-    recipe = Recipe(args.scenes, args.paths_per_scene, families, args.seed, robot=robot)
+    if args.labels not in LABELS:
+        raise UnknownChoiceError("kind of labels", args.labels, LABELS)
+    recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, robot=robot)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     paths = generate(recipe, args.out, args.jobs, ["cvqmpt", *sys.argv[1:]], ProgressBar("data"))
     print((args.out / "README.md").read_text())

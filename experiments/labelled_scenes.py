@@ -65,7 +65,7 @@ def labelled_scene(
     with_twins: bool,
 ) -> LabelledScene:
     """Label a scene: paths between `pairs` pairs of configurations, some of which give none."""
-    space = _space(robot, scene)
+    space = unconstrained_space(robot, scene)
     rng = np.random.default_rng(seed)
     labels = _labels(space, rng, pairs, settings, with_twins)
     probes = robot.random_configurations(rng, PROBES)
@@ -78,8 +78,6 @@ def labelled_scene(
 def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
     """Arrays of a shard, from the family, the number and the labels of each scene."""
     draws = [draw for _, _, draw in scenes]
-    items = [item for draw in draws for item in draw.scene.obstacles]
-    described = [SHAPES[type(item.shape)](item.shape) for item in items]
     labels = [label for draw in draws for label in draw.labels]
     before = np.cumsum([0, *(len(draw.labels) for draw in draws)])
     twins = [
@@ -88,15 +86,9 @@ def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
         for label in draw.labels
     ]
     robot = draws[0].robot
-    waypoints = [_packed(robot, label.path.spaced(SPACING)) for label in labels]
+    waypoints = [packed(robot, label.path.spaced(SPACING)) for label in labels]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for label in labels]
-    return {
-        "family": np.array([family for family, _, _ in scenes], np.uint8),
-        "scene_seed": np.array([number for _, number, _ in scenes], np.int64),
-        "shape_start": np.cumsum([0, *(len(draw.scene.obstacles) for draw in draws)], dtype=np.int32),
-        "shape_kind": np.array([kind for kind, _ in described], np.uint8),
-        "shape_size": np.array([size for _, size in described], np.float32).reshape(-1, 3),
-        "shape_pose": np.array([item.T_world_object[:3] for item in items], np.float32).reshape(-1, 3, 4),
+    return scene_shapes([(family, number, draw.scene) for family, number, draw in scenes]) | {
         "path_scene": np.repeat(np.arange(len(draws)), np.diff(before)).astype(np.int32),
         "path_start": np.cumsum([0, *(len(w) for w in waypoints)], dtype=np.int32),
         "waypoints": np.concatenate([np.empty((0, robot.dof), np.uint16), *waypoints]),
@@ -104,10 +96,24 @@ def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
         "straight": np.array(straight, np.float32),
         "trivial": np.array([label.trivial for label in labels], bool),
         "twin_of": np.array(twins, np.int32),
-        "probe_q": np.stack([_packed(robot, draw.probes) for draw in draws]),
+        "probe_q": np.stack([packed(robot, draw.probes) for draw in draws]),
         "probe_free": np.stack([draw.probe_free for draw in draws]),
-        "edge_q": np.stack([_packed(robot, draw.edges) for draw in draws]),
+        "edge_q": np.stack([packed(robot, draw.edges) for draw in draws]),
         "edge_free": np.stack([draw.edge_free for draw in draws]),
+    }
+
+
+def scene_shapes(scenes: Sequence[tuple[int, int, Scene]]) -> Arrays:
+    """The scenes of a shard as arrays, from the family, the number and the shapes of each."""
+    items = [item for _, _, scene in scenes for item in scene.obstacles]
+    described = [SHAPES[type(item.shape)](item.shape) for item in items]
+    return {
+        "family": np.array([family for family, _, _ in scenes], np.uint8),
+        "scene_seed": np.array([number for _, number, _ in scenes], np.int64),
+        "shape_start": np.cumsum([0, *(len(scene.obstacles) for _, _, scene in scenes)], dtype=np.int32),
+        "shape_kind": np.array([kind for kind, _ in described], np.uint8),
+        "shape_size": np.array([size for _, size in described], np.float32).reshape(-1, 3),
+        "shape_pose": np.array([item.T_world_object[:3] for item in items], np.float32).reshape(-1, 3, 4),
     }
 
 
@@ -118,7 +124,7 @@ SHAPES = {
 }
 
 
-def _space(robot: Robot, scene: Scene) -> ConstrainedSpace:
+def unconstrained_space(robot: Robot, scene: Scene) -> ConstrainedSpace:
     """The unconstrained planning space of a scene."""
     middle = 0.5 * (robot.lower + robot.upper)
     return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
@@ -147,7 +153,7 @@ def _labels(
     candidates = candidates[space.valid_batch(candidates)]
     if len(candidates) < 2:
         return []
-    tasklike = candidates[_near_obstacles(space, candidates)]
+    tasklike = candidates[near_obstacles(space, candidates)]
     labels: list[_Label] = []
     twins, straight = 2 if with_twins else 0, 0
     for pair in range(pairs):
@@ -180,7 +186,7 @@ def _labels(
     return labels
 
 
-def _near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.ndarray:
+def near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.ndarray:
     """Whether the hand (b,) is within NEAR_HAND of a box around an obstacle."""
     robot = space.robot
     link, T = robot.end_effector_link
@@ -196,7 +202,7 @@ def _near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.n
     return near
 
 
-def _packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
+def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
     """Joints as 16-bit shares of their range."""
     u = (configurations - robot.lower) / (robot.upper - robot.lower)
     return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)

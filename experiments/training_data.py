@@ -1,4 +1,4 @@
-"""Training paths: random scenes, near-shortest unconstrained motions in them, in shards that can be resumed.
+"""Training data: random scenes and labels in them, in shards that can be resumed.
 
 The folder's format is described in `cvqmpt_lab.training.shards`, which reads it. A shard depends on the
 recipe and its own number alone, so a dataset is the same however often it was interrupted. Scene numbers
@@ -6,7 +6,8 @@ start at FIRST_SCENE: the scenes of evaluation suites have smaller ones.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -23,6 +24,7 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     SCHEMA,
@@ -43,8 +45,8 @@ TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a sec
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What a dataset is made of."""
+class SceneRecipe(ABC):
+    """Which scenes a dataset is made of, and of which robot; what is labelled in them is its subclasses' business."""
 
     scenes: int
     """Number of scenes, families taking turns."""
@@ -52,7 +54,6 @@ class Recipe:
     """Pairs tried in each; some give no label."""
     families: tuple[str, ...] = tuple(FAMILIES)
     seed: int = 0
-    labels: NearShortestSettings = field(default_factory=NearShortestSettings)
     robot: Mapping[str, Any] = field(default_factory=PANDA.copy)
     """As field 'robot' of a problem file."""
 
@@ -67,12 +68,58 @@ class Recipe:
             )
 
     def scene_of(self, index: int) -> tuple[int, int]:
-        """Family index and scene number of scene `index` of this dataset."""
-        return index % len(self.families), FIRST_SCENE + self.seed * SCENES_PER_SEED + index
+        """Family index and scene number of scene `index` of this dataset; numbers decide which scenes validate."""
+        turn, family = divmod(index, len(self.families))
+        return family, FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
+
+    def scenes_of(self, shard: int) -> Iterator[tuple[int, int, int, Scene]]:
+        """Index, family index, number and shapes of the scenes of a shard."""
+        first = shard * SCENES_PER_SHARD
+        for index in range(first, min(first + SCENES_PER_SHARD, self.scenes)):
+            family, number = self.scene_of(index)
+            yield index, family, number, family_scene(self.families[family], number)
+
+    @abstractmethod
+    def prepare(self, out: Path) -> None:
+        """Write what shards have in common."""
+
+    @abstractmethod
+    def shard(self, number: int) -> Shard:
+        """One shard; it depends on the recipe and its number alone."""
+
+    @abstractmethod
+    def card(self, out: Path) -> str:
+        """What the dataset holds, as a page to read."""
+
+
+@dataclass(frozen=True)
+class Recipe(SceneRecipe):
+    """Near-shortest paths in random scenes."""
+
+    labels: NearShortestSettings = field(default_factory=NearShortestSettings)
+
+    def prepare(self, out: Path) -> None:
+        """Nothing."""
+
+    def shard(self, number: int) -> Shard:
+        """Labelled scenes; some of each family have twins."""
+        robot, scenes = robot_from_source(self.robot), []
+        for index, family, scene_number, scene in self.scenes_of(number):
+            with_twins = index // len(self.families) % TWIN_EVERY == 0
+            seed = (self.seed, index)
+            draw = labelled_scene(
+                robot, scene, self.paths_per_scene, self.labels, seed, with_twins=with_twins
+            )
+            scenes.append((family, scene_number, draw))
+        return Shard.of(number, shard_arrays(scenes))
+
+    def card(self, out: Path) -> str:
+        """Counts and twin ratios."""
+        return dataset_card(out)
 
 
 def generate(
-    recipe: Recipe, out: Path, jobs: int, command: list[str], on_progress: Callable[[int, int], None]
+    recipe: SceneRecipe, out: Path, jobs: int, command: list[str], on_progress: Callable[[int, int], None]
 ) -> int:
     """Write the shards that `out` does not have yet; returns the number of paths in all.
 
@@ -84,11 +131,12 @@ def generate(
     make_folder(out / SHARDS_FOLDER)
     with locked(out):
         _describe(recipe, out, command)
+        recipe.prepare(out)
         count = -(-recipe.scenes // SCENES_PER_SHARD)
         done = {row.shard: row for row in finished_shards(out)}
         on_progress(len(done), count)
         with worker_pool(jobs) as pool:
-            futures = {pool.submit(_shard, recipe, k): k for k in range(count) if k not in done}
+            futures = {pool.submit(recipe.shard, k): k for k in range(count) if k not in done}
             try:
                 for future in as_completed(futures):
                     shard = future.result()
@@ -98,11 +146,11 @@ def generate(
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
-        write_text(out / "README.md", dataset_card(out))
+        write_text(out / "README.md", recipe.card(out))
     return sum(row.paths for row in done.values())
 
 
-def _describe(recipe: Recipe, out: Path, command: list[str]) -> None:
+def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
     """Write dataset.json, or check that it says the same."""
     robot = robot_from_source(recipe.robot)
     settings = json.loads(json.dumps(asdict(recipe)))
@@ -141,19 +189,3 @@ def _chain(robot: Robot) -> SerialChain:
         offsets=offsets,
         sliders=tuple(np.flatnonzero(kinematics.prismatic).tolist()),
     )
-
-
-def _shard(recipe: Recipe, number: int) -> Shard:
-    """One shard; scenes of each family in turn have twins."""
-    first = number * SCENES_PER_SHARD
-    robot, scenes = robot_from_source(recipe.robot), []
-    for index in range(first, min(first + SCENES_PER_SHARD, recipe.scenes)):
-        family, scene_number = recipe.scene_of(index)
-        scene = family_scene(recipe.families[family], scene_number)
-        with_twins = index // len(recipe.families) % TWIN_EVERY == 0
-        seed = (recipe.seed, index)
-        draw = labelled_scene(
-            robot, scene, recipe.paths_per_scene, recipe.labels, seed, with_twins=with_twins
-        )
-        scenes.append((family, scene_number, draw))
-    return Shard.of(number, shard_arrays(scenes))

@@ -121,7 +121,7 @@ def _predictor(weights: Weights, robot: Robot, settings: PredictorSettings) -> P
 
 
 @lru_cache(maxsize=8)
-def _roadmap(weights: Weights, robot: Robot) -> Roadmap:
+def dictionary_roadmap(weights: Weights, robot: Robot) -> Roadmap:
     """The dictionary: one configuration drawn from each code's Gaussian."""
     means, covariances = dictionary_gaussians(_vq_mpt(weights), robot)
     nodes = drawn_nodes(means, covariances, robot, np.random.default_rng(ROADMAP_DRAW))
@@ -163,7 +163,7 @@ def _wrong_cloud(problem: PlanningProblem) -> np.ndarray:
 
 def roadmap_path(robot: Robot, weights: Weights) -> Stages:
     """The dictionary, projected on the manifold node by node, searched for a path."""
-    return Stages(predict=RoadmapPath(_roadmap(weights, robot)))
+    return Stages(predict=RoadmapPath(dictionary_roadmap(weights, robot)))
 
 
 def roadmap_mixture(name: str, check: bool, head: bool = False, update: bool = False) -> Build:
@@ -173,7 +173,7 @@ def roadmap_mixture(name: str, check: bool, head: bool = False, update: bool = F
     """
 
     def build(robot: Robot, weights: Weights) -> Stages:
-        roadmap = _roadmap(weights, robot)
+        roadmap = dictionary_roadmap(weights, robot)
         return Stages(
             predict=RoadmapMixture(
                 roadmap,

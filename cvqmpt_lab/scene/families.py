@@ -6,6 +6,7 @@ kitchen of the tasks, with its published dimensions, is never among these.
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,22 +62,86 @@ def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
     return Sphere(radius), 2.0 * radius
 
 
+def _cluttered_table(number: int) -> Scene:
+    """A table reached from its side, at elbow height, crowded with slim things as tall as a forearm."""
+    rng = np.random.default_rng([4, number])
+    depth, width, top = rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.45)
+    x = rng.uniform(0.25, 0.4) + depth / 2
+    T = pose((0.0, 0.0, 0.0), rng.uniform(-np.pi, np.pi))
+    objects = [SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))]
+    for i in range(rng.integers(8, 19)):
+        place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
+        radius, height = rng.uniform(0.02, 0.06), rng.uniform(0.15, 0.5)
+        shape = Cylinder(radius, height) if rng.random() < 0.5 else Box((2 * radius, 2 * radius, height))
+        stands = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
+        objects.append(SceneObject(f"item_{i}", shape, T @ stands))
+    return Scene(f"cluttered_table_{number}", tuple(objects))
+
+
+def _cage(number: int) -> Scene:
+    """Upright bars in a ring around the robot, with gaps that an arm fits through, and hoops of flat bars."""
+    rng = np.random.default_rng([5, number])
+    ring, radius = rng.uniform(0.4, 0.65), rng.uniform(0.01, 0.03)
+    low, high = rng.uniform(-0.4, 0.0), rng.uniform(0.7, 1.2)
+    count = int(2.0 * np.pi * ring / rng.uniform(0.22, 0.4))
+    angles = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    angles += rng.uniform(-0.3, 0.3, count) * 2.0 * np.pi / count
+    middle = (low + high) / 2
+    objects = [
+        SceneObject(
+            f"bar_{i}",
+            Cylinder(radius, high - low),
+            pose((ring * np.cos(angle), ring * np.sin(angle), middle)),
+        )
+        for i, angle in enumerate(angles)
+    ]
+    side = 2.0 * np.pi * ring / 12
+    for hoop, level in enumerate(rng.uniform(low, high, rng.integers(1, 3))):
+        for part in range(12):
+            T = pose((0.0, 0.0, 0.0), part * np.pi / 6) @ pose((ring, 0.0, float(level)))
+            objects.append(SceneObject(f"hoop_{hoop}/{part}", Box((2 * radius, side, 2 * radius)), T))
+    return Scene(f"cage_{number}", tuple(objects))
+
+
+class _CabinetSizes(NamedTuple):
+    """Ranges that a cabinet is drawn from."""
+
+    width: tuple[float, float]
+    """[m]"""
+    gap: tuple[float, float]
+    """Between its boards [m]."""
+    boards: tuple[int, int]
+    """How many, the last number excluded."""
+
+
+WIDE = _CabinetSizes((0.35, 0.9), (0.25, 0.5), (2, 5))
+NARROW = _CabinetSizes((0.25, 0.45), (0.17, 0.3), (3, 7))
+
+
 def _shelves(number: int) -> Scene:
     """One to three open cabinets around the robot, each with boards and things on them."""
-    rng = np.random.default_rng([2, number])
+    return _cabinets(f"shelves_{number}", np.random.default_rng([2, number]), WIDE)
+
+
+def _narrow_shelves(number: int) -> Scene:
+    """The same with compartments that a hand just fits into."""
+    return _cabinets(f"narrow_shelves_{number}", np.random.default_rng([6, number]), NARROW)
+
+
+def _cabinets(name: str, rng: np.random.Generator, sizes: _CabinetSizes) -> Scene:
     objects: list[SceneObject] = []
     heading = rng.uniform(-np.pi, np.pi)
     for k in range(rng.integers(1, 4)):
         T = pose((0.0, 0.0, 0.0), heading + k * rng.uniform(0.9, 1.6))
-        objects.extend(_cabinet(f"cabinet_{k}", T, rng))
-    return Scene(f"shelves_{number}", tuple(objects))
+        objects.extend(_cabinet(f"cabinet_{k}", T, rng, sizes))
+    return Scene(name, tuple(objects))
 
 
-def _cabinet(name: str, T: np.ndarray, rng: np.random.Generator) -> list[SceneObject]:
-    """A cabinet open towards the robot: back, two sides, two to four boards, a few things inside."""
-    near, depth, width = rng.uniform(0.35, 0.65), rng.uniform(0.25, 0.4), rng.uniform(0.35, 0.9)
-    boards = rng.integers(2, 5)
-    levels = rng.uniform(-0.3, 0.3) + np.cumsum(np.concatenate([[0.0], rng.uniform(0.25, 0.5, boards - 1)]))
+def _cabinet(name: str, T: np.ndarray, rng: np.random.Generator, sizes: _CabinetSizes) -> list[SceneObject]:
+    """A cabinet open towards the robot: back, two sides, boards, a few things inside."""
+    near, depth, width = rng.uniform(0.35, 0.65), rng.uniform(0.25, 0.4), rng.uniform(*sizes.width)
+    boards = rng.integers(*sizes.boards)
+    levels = rng.uniform(-0.3, 0.3) + np.cumsum(np.concatenate([[0.0], rng.uniform(*sizes.gap, boards - 1)]))
     x, low, high = near + depth / 2, levels[0], levels[-1]
     parts = [
         ("back", (BOARD, width, high - low), (near + depth, 0.0, (low + high) / 2)),
@@ -119,5 +184,8 @@ FAMILIES: Mapping[str, Callable[[int], Scene]] = {
     "table": _table,
     "shelves": _shelves,
     "kitchen-like": _random_kitchen,
+    "cluttered-table": _cluttered_table,
+    "narrow-shelves": _narrow_shelves,
+    "cage": _cage,
 }
 """Scene makers by name; "cubes-spheres" is the published training family."""

@@ -13,12 +13,12 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.families import FAMILIES
 from experiments.suites.family_task import family_problem
 from experiments.suites.place_task import UnsolvableProblem
 
 PROBLEMS = range(20)
 FIRST_SCENE = 2000  # numbers that no other suite uses
+FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "ur5": {"name": "ur5"},
     "xarm7": {"name": "xarm7"},
@@ -29,8 +29,7 @@ ROBOTS: Mapping[str, Mapping[str, Any]] = {
 
 def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:
     """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the goal's pose."""
-    families = list(FAMILIES)
-    problem = family_problem(families[index % len(families)], FIRST_SCENE + index, ROBOTS[robot])
+    problem = family_problem(FAMILIES[index % len(FAMILIES)], FIRST_SCENE + index, ROBOTS[robot])
     if isinstance(problem, UnsolvableProblem):
         return replace(problem, name=str(index))
     there = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.zeros((6, 2)))

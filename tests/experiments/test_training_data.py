@@ -181,7 +181,7 @@ def test_spheroid_keeps_detours_short():
 
 def test_more_restarts_make_shorter_labels():
     scene = family_scene("cubes-spheres", training_data.FIRST_SCENE + 4)
-    space, lengths = labelled_scenes._space(panda(), scene), {1: [], 12: []}
+    space, lengths = labelled_scenes.unconstrained_space(panda(), scene), {1: [], 12: []}
     rng = np.random.default_rng(0)
     states = space.robot.random_configurations(rng, 600)
     states = [q for q in states if space.valid(q)]

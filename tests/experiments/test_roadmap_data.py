@@ -1,0 +1,100 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
+from cvqmpt_lab.training.shards import FULL_SCALE, finished_shards
+from experiments import training_data
+from experiments.roadmap_data import RoadmapRecipe
+from experiments.training_data import generate
+
+TINY = RoadmapRecipe(4, 12, ("table", "cage"))
+
+
+def make(out, recipe=TINY):
+    return generate(recipe, out, 1, ["test"], lambda done, total: None)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    out = tmp_path_factory.mktemp("roadmap")
+    training_data.SCENES_PER_SHARD = 2
+    make(out)
+    yield out
+    training_data.SCENES_PER_SHARD = 16
+
+
+@pytest.fixture(scope="module")
+def shard(tiny):
+    return read_roadmap_shards(tiny)[0]
+
+
+def scene_of(shard, scene):
+    return family_scene(TINY.families[shard.arrays["family"][scene]], int(shard.arrays["scene_seed"][scene]))
+
+
+@pytest.mark.parametrize("scene", [0, 1])
+def test_nodes_and_edges_called_free_are_free_by_the_exact_checker(shard, scene):
+    checker, graph = CollisionChecker(panda(), scene_of(shard, scene)), shard.graph
+    free = shard.node_free(scene)
+    assert not checker.in_collision_batch(graph.nodes[free]).any()
+    assert checker.in_collision_batch(graph.nodes[~free]).mean() > 0.8  # others are at least very near
+    edges = graph.edges[np.flatnonzero(shard.edge_free(scene))[::37]]
+    marks = np.linspace(0.0, 1.0, 40)[:, None, None]
+    states = (1.0 - marks) * graph.nodes[edges[:, 0]] + marks * graph.nodes[edges[:, 1]]
+    assert not checker.in_collision_batch(states.reshape(-1, 7)).any()
+
+
+@pytest.mark.parametrize("scene", [0, 1])
+def test_paths_walk_free_edges_and_cost_what_they_say(shard, scene):
+    robot, arrays, graph = panda(), shard.arrays, shard.graph
+    free = {tuple(edge) for edge in graph.edges[shard.edge_free(scene)].tolist()}
+    rows = np.flatnonzero((arrays["path_scene"] == scene) & np.isfinite(arrays["cost"]))
+    assert len(rows) >= 2
+    for row in rows:
+        codes = arrays["codes"][arrays["code_start"][row] : arrays["code_start"][row + 1]].astype(int)
+        assert len(codes) > 0
+        assert all((min(a, b), max(a, b)) in free for a, b in pairwise(codes))
+        start, goal = robot.lower + arrays["ends"][row] / FULL_SCALE * (robot.upper - robot.lower)
+        states = np.concatenate([[start], graph.nodes[codes], [goal]])
+        length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
+        assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
+
+
+def test_every_family_validates_equally_often():
+    recipe = RoadmapRecipe(7 * 40, 1)
+    numbers = [recipe.scene_of(index) for index in range(recipe.scenes)]
+    validate = [family for family, number in numbers if number % 20 == 0]
+    assert sorted(validate) == sorted(2 * list(range(7)))
+    assert len(set(numbers)) == recipe.scenes
+
+
+def test_interrupted_generation_ends_in_the_same_bytes(tiny):
+    before = {row.shard: row.sha256 for row in finished_shards(tiny)}
+    (tiny / "shards" / "000001.npz").unlink()
+    make(tiny)
+    assert {row.shard: row.sha256 for row in finished_shards(tiny)} == before
+
+
+def test_labels_of_another_dictionary_are_not_continued(tiny, tmp_path):
+    graph = RoadmapGraph.read(tiny)
+    other = RoadmapGraph(graph.nodes, graph.edges, graph.node_possible, graph.edge_possible, "another")
+    other.write(tmp_path)
+    with pytest.raises(InvalidInputError, match="another dictionary"):
+        make(tmp_path)
+
+
+def test_a_damaged_roadmap_says_so(tiny, tmp_path):
+    (tmp_path / "roadmap.npz").write_bytes((tiny / "roadmap.npz").read_bytes()[:200])
+    with pytest.raises(InvalidInputError, match="not a readable archive"):
+        RoadmapGraph.read(tmp_path)
+
+
+def test_the_card_says_how_often_the_scene_changes_the_path(tiny):
+    card = (tiny / "README.md").read_text()
+    assert "| table | 2 |" in card and "| all | 4 | 2 | " in card
