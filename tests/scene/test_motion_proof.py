@@ -76,13 +76,13 @@ def test_no_tampered_path_is_proven_that_samples_find_colliding(problem, solutio
     """States of a planned path pushed aside, by millimetres at the hand and by much more."""
     checker, rng = problem.collision_checker(), np.random.default_rng(seed)
     states, verdicts = solution.simplified.path.states, []
-    for _ in range(12):
+    for _ in range(24):
         first = rng.integers(1, len(states) - 8)
         tampered = states[first - 1 : first + 8].copy()
-        tampered[1:-1] += 10.0 ** rng.uniform(-3.0, -0.5) * rng.standard_normal(7)
+        tampered[1:-1] += 10.0 ** rng.uniform(-3.0, 0.0) * rng.standard_normal(7)
         proof = prove_free(checker, tampered)
         hits = checker.in_collision_batch(sampled(tampered, 0.002)).any()
         assert not (hits and proof.colliding is None)
         assert proof.colliding is None or checker.in_collision(proof.colliding)
         verdicts.append(hits)
-    assert 0 < sum(verdicts) < 12
+    assert 0 < sum(verdicts) < 24
