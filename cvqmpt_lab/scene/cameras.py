@@ -16,6 +16,7 @@ from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
+from cvqmpt_lab.scene.voxels import voxel_means
 
 
 @dataclass(frozen=True)
@@ -136,20 +137,6 @@ def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -
         return views
     materials = settings.materials.drawn(len(solids), rng)
     return [measured(view, solids, materials, settings.errors, rng) for view in views]
-
-
-def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
-    """Mean (m, 3) of the points (p, 3) in each cell of a grid, in order of the cells.
-
-    The least coordinates lie in the middle of their cells.
-    """
-    if len(points) == 0:
-        return points
-    cells = np.floor((points - points.min(axis=0)) / voxel + 0.5).astype(np.int64)
-    key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    _, cell, count = np.unique(key, return_inverse=True, return_counts=True)
-    sums = [np.bincount(cell, weights=axis, minlength=len(count)) for axis in points.T]
-    return np.stack(sums, axis=1) / count[:, None]
 
 
 def solids_of(objects: Sequence[SceneObject]) -> list[Solid]:

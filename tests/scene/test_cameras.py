@@ -17,7 +17,6 @@ from cvqmpt_lab.scene.cameras import (
     arm_objects,
     camera_cloud,
     visible_points,
-    voxel_means,
 )
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
@@ -65,18 +64,6 @@ def grown(shape, d):
     if isinstance(shape, Box):
         return Box(tuple(np.add(shape.size, 2 * d)))
     return Cylinder(shape.radius + d, shape.height + 2 * d)
-
-
-def test_voxels_keep_means_and_cells():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (5000, 3))
-    means = voxel_means(points, 0.25)
-    low = points.min(0) - 0.125
-    cells = {}
-    for point in points:
-        cells.setdefault(tuple(np.floor((point - low) / 0.25).astype(int)), []).append(point)
-    np.testing.assert_allclose(means, [np.mean(cells[key], axis=0) for key in sorted(cells)], atol=1e-12)
-    assert voxel_means(np.empty((0, 3)), 0.1).shape == (0, 3)
 
 
 def test_clouds_depend_on_the_seed_alone_and_have_the_points_asked_for():

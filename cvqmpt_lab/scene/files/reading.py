@@ -49,20 +49,21 @@ def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
 
     room: [m] within which at least half of them must lie.
     """
-    largest = float(np.abs(points).max())
+    off = np.maximum.reduce([np.abs(axis) for axis in points.T])
+    largest = float(off.max())
     if largest > FARTHEST:
-        row = int(np.argmax(np.abs(points).max(axis=1)))
+        row = int(np.argmax(off))
         raise InvalidInputError(
             f"{what}: point {row} is {largest:.3g} m off the origin, more than {FARTHEST:g}; "
             "scale or remove it (millimetres: scale 0.001)"
         )
-    middling = float(np.median(np.abs(points).max(axis=1)))
+    middling = float(np.median(off))
     if middling > room:
         raise InvalidInputError(
             f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a scale "
             "(millimetres: 0.001), or move it to the robot"
         )
-    extent = float(np.ptp(points, axis=0).max())
+    extent = max(float(np.ptp(axis)) for axis in points.T)
     if len(points) > 1 and extent < SPECK:
         raise InvalidInputError(
             f"{what}: all of it lies within {1e3 * extent:.3g} mm: no metres? give a scale (kilometres: 1000)"
