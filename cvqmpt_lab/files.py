@@ -122,14 +122,19 @@ def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
 
 
 def json_object(text: str, what: str) -> dict[str, Any]:
-    """Return the json object of a text; a key that occurs twice in one object is refused."""
-    try:
-        data = json.loads(text, object_pairs_hook=_unique_keys)
-    except (ValueError, RecursionError) as error:  # no json, or nested too deeply
-        raise InvalidInputError(f"{what} is not json: {error}") from error
+    """Return the json object of a text as `json_value` does."""
+    data = json_value(text, what)
     if not isinstance(data, dict):
         raise InvalidInputError(f"{what} must hold one json object")
     return data
+
+
+def json_value(text: str, what: str) -> Any:
+    """Return what a json text holds; a key that occurs twice in one object is refused."""
+    try:
+        return json.loads(text, object_pairs_hook=_unique_keys)
+    except (ValueError, RecursionError) as error:  # no json, or nested too deeply
+        raise InvalidInputError(f"{what} is not json: {error}") from error
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

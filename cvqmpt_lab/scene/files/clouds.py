@@ -4,8 +4,6 @@ A header is believed only as far as the file's size bears it out: counts are com
 before anything is read, and with what was read afterwards. Memory stays within a small multiple of the file's size.
 """
 
-import io
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.files.columns import Column, numbers_in, three
+from cvqmpt_lab.scene.files.npy import read_array
 from cvqmpt_lab.scene.files.pcd import read_pcd
 from cvqmpt_lab.scene.files.ply import read_ply
 from cvqmpt_lab.scene.files.reading import check_lengths, file_bytes, kind_of, parsing
@@ -59,22 +58,12 @@ def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
 
 def _read_npy(data: bytes) -> np.ndarray:
     """An array (m, 3 or more), (height, width, 3 or more), or with fields x, y, z."""
-    stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if version not in headers:
-        raise InvalidInputError(f"NPY version {version} is not known; write version 1 or 2")
-    shape, by_column, kind = headers[version](stream)
-    if kind.hasobject:
-        raise InvalidInputError("it holds Python objects, which may run code; write plain numbers")
-    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
-        raise InvalidInputError(f"its header says shape {shape} of {kind}, the file holds another size")
-    array = np.frombuffer(data, kind, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
-    if kind.names is not None:
-        columns = [Column(name, kind[name].str) for name in kind.names]
+    array = read_array(data)
+    if array.dtype.names is not None:
+        columns = [Column(name, array.dtype[name].str) for name in array.dtype.names]
         return three(columns, lambda k: array[columns[k].name].reshape(-1))
-    if kind.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
-        raise InvalidInputError(f"it has shape {shape} of {kind}; give numbers of shape (m, 3)")
+    if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
+        raise InvalidInputError(f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)")
     return array.reshape(-1, array.shape[-1])[:, :3]
 
 

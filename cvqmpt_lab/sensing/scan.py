@@ -1,0 +1,205 @@
+"""A scan: what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.codec.forms import FloatArray
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.cameras import BallCrop, BoxCrop
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.scene.voxels import voxel_means
+from cvqmpt_lab.sensing.filters import lonely, near_robot
+from cvqmpt_lab.sensing.supporting_plane import (
+    CAMERA_TILT,
+    CAMERA_UP,
+    GAP,
+    WORLD_TILT,
+    SupportingPlane,
+    box_around,
+    level_pose,
+    on_table,
+    supporting_plane,
+)
+
+NEIGHBOURHOOD = 3.0
+"""Voxels around a point in which its neighbours are counted."""
+COVERING = 0.87
+"""Radius, in voxels, of balls that cover the voxels whose points they stand for: half the diagonal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What one camera saw."""
+
+    points: FloatArray
+    """(m, 3), all finite [m, camera frame]."""
+    unseen: int = 0
+    """Pixels, or rows of a file, without a finite point."""
+    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
+    """(4, 4); the camera's frame is the robot's base frame unless said otherwise."""
+
+
+class Arm(NamedTuple):
+    """The robot while the scan was taken."""
+
+    robot: Robot
+    q: FloatArray
+    """(n,) [rad or m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSettings:
+    """How a scan is cleaned."""
+
+    level: bool = False
+    """Put the table level, because nobody knows where the camera was; needs a single capture."""
+    front: tuple[float, float, float] = (0.3, 0.0, 0.0)
+    """Where `level` puts the middle of the table's near edge [m]."""
+    crop: BoxCrop | BallCrop | None = None
+    """What is kept [m, robot base frame]; None for all."""
+    voxel: float = 0.01
+    """Edge of the grid in whose cells points are averaged [m]."""
+    robot_margin: float = 0.05
+    """Points this near to the robot are taken for the robot [m]."""
+    neighbours: int = 2
+    """Points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all."""
+    plane: Literal["keep", "box", "remove"] = "keep"
+    """What becomes of the points of the supporting plane: nothing, a box instead of them, or gone."""
+
+    def __post_init__(self) -> None:
+        if not self.voxel > 0.0:
+            raise InvalidInputError(f"voxel of {self.voxel} m: give more than 0")
+        if not self.robot_margin >= 0.0:
+            raise InvalidInputError(f"robot margin of {self.robot_margin} m: give 0 or more")
+
+
+class Step(NamedTuple):
+    """What one filter did."""
+
+    name: str
+    before: int
+    """Points before it."""
+    after: int
+    """Points after it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A cleaned scan."""
+
+    points: FloatArray
+    """(m, 3) [m, robot base frame]."""
+    unseen: int
+    """Pixels or rows that held no point."""
+    steps: tuple[Step, ...]
+    """What each filter did, in order."""
+    voxel: float
+    """[m] that its points are apart."""
+    T_world_camera: FloatArray | None = None
+    """(4, 4), where the camera stands if the scan was levelled."""
+    plane: SupportingPlane | None = None
+    """The supporting plane, where one was looked for, in the robot's base frame."""
+    table: SceneObject | None = None
+    """The box that stands for it."""
+
+    def scene(self, radius: float | None = None, name: str = "scan") -> Scene:
+        """The scan as obstacles: balls of a radius [m] that covers the voxels by default, and the table's box."""
+        radius = COVERING * self.voxel if radius is None else radius
+        cloud = [SceneObject(name, PointCloud(self.points, radius), pose((0.0, 0.0, 0.0)))]
+        boxes = [] if self.table is None else [self.table]
+        return Scene(name, tuple((cloud if len(self.points) else []) + boxes))
+
+
+def scan(
+    captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator, arm: Arm | None = None
+) -> Scan:
+    """Merge captures, level them if asked to, and clean them by `FILTERS`.
+
+    arm: the robot while the scan was taken; its points go.
+
+    Raises
+    ------
+    InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be levelled.
+    """
+    T_world_camera = _level(captures, settings, rng) if settings.level else None
+    poses = [capture.T_world_camera if T_world_camera is None else T_world_camera for capture in captures]
+    placed = zip(captures, poses, strict=True)
+    points = np.concatenate([capture.points @ T[:3, :3].T + T[:3, 3] for capture, T in placed])
+    steps = []
+    for name, keep in FILTERS.items():
+        left = keep(points, settings, arm)
+        if len(left) == 0:
+            raise InvalidInputError(f"nothing of the scan is left after {name}: {_bounds(points)}")
+        if left is not points:
+            steps.append(Step(name, len(points), len(left)))
+        points = left
+    plane = table = None
+    if settings.plane != "keep":
+        plane = supporting_plane(points, np.array([0.0, 0.0, 1.0]), WORLD_TILT, rng)
+        flat = on_table(points, plane, max(GAP, 2.0 * settings.voxel))
+        table = box_around(points[flat], plane) if settings.plane == "box" else None
+        left = points[~flat]
+        steps.append(Step("supporting plane", len(points), len(left)))
+        points = left
+    unseen = sum(capture.unseen for capture in captures)
+    return Scan(points, unseen, tuple(steps), settings.voxel, T_world_camera, plane, table)
+
+
+def refuse_touching(scene: Scene, arm: Arm) -> None:
+    """Raise InvalidInputError when the arm stands inside what was scanned."""
+    pair = CollisionChecker(arm.robot, scene).colliding_pair(arm.q)
+    if pair is not None:
+        raise InvalidInputError(
+            f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot margin), "
+            "or say where it really was"
+        )
+
+
+def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator) -> FloatArray:
+    """T_world_camera (4, 4) by the table that the only capture shows."""
+    if len(captures) != 1:
+        raise InvalidInputError(
+            f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"
+        )
+    points = captures[0].points
+    return level_pose(points, supporting_plane(points, CAMERA_UP, CAMERA_TILT, rng), settings.front)
+
+
+def _crop(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
+    return points if settings.crop is None else points[settings.crop.contains(points)]
+
+
+def _voxels(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
+    return voxel_means(points, settings.voxel)
+
+
+def _robot(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
+    return points if arm is None else points[~near_robot(points, arm.robot, arm.q, settings.robot_margin)]
+
+
+def _outliers(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
+    if settings.neighbours == 0:
+        return points
+    return points[~lonely(points, NEIGHBOURHOOD * settings.voxel, settings.neighbours)]
+
+
+FILTERS: Mapping[str, Callable[[FloatArray, ScanSettings, Arm | None], FloatArray]] = {
+    "crop": _crop,
+    "voxels": _voxels,
+    "robot": _robot,
+    "outliers": _outliers,
+}
+"""What is done to the points (m, 3), in order; a filter that has nothing to do returns what it was given."""
+
+
+def _bounds(points: FloatArray) -> str:
+    """Where points (m, 3) are."""
+    low, high = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
+    return f"before, its {len(points)} points lay between {low} and {high} [m]"

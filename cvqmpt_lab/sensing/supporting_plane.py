@@ -1,0 +1,158 @@
+"""The plane that things stand on, and how a scan is put level by it when nobody knows where the camera was."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from cvqmpt_lab.codec.forms import FloatArray
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box
+
+TOLERANCE = 0.01
+"""[m] to both sides of a plane that count as on it: table tops bend, and cameras err by millimetres."""
+TRIPLES = 1000
+"""Planes tried; one in a hundred lies on a table that is a fifth of the cloud."""
+JUDGES = 3000
+"""Points that choose among them."""
+FITTED = 50_000
+"""Points, at most, that the chosen one is fitted to."""
+ROUNDS = 3
+GAP = 0.05
+"""[m] between points of one table."""
+LEAST = 0.1
+"""Share of the points that a supporting plane must hold."""
+FEWEST = 30
+"""Points that a supporting plane must hold."""
+CAMERA_UP = np.array([0.0, -1.0, 0.0])
+"""Of an optical frame: x right, y down, z ahead."""
+CAMERA_AHEAD = np.array([0.0, 0.0, 1.0])
+STRAIGHT = np.cos(np.radians(11.0))
+"""Of the angle between a table's normal and the camera's axis: nearer, "ahead" is the upper side of the image."""
+CAMERA_TILT = np.radians(100.0)
+"""Largest angle between a table's normal and the camera's up: a camera may look straight down, or a little beyond."""
+WORLD_TILT = np.radians(15.0)
+"""The same for the world's up, when the camera's pose is known."""
+EDGE = 0.02
+"""Quantile of the table's points that counts as its edge: beyond it lies what the camera half saw."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupportingPlane:
+    """A plane in a cloud."""
+
+    normal: FloatArray
+    """(3,), of length 1, towards where things stand."""
+    offset: float
+    """Of the plane along the normal [m]."""
+    share: float
+    """Of the cloud's points on it."""
+    residual: float
+    """Root mean square distance of those from it [m]."""
+
+    def heights(self, points: FloatArray) -> FloatArray:
+        """Of points (m, 3) above the plane (m,) [m]."""
+        return points @ self.normal - self.offset
+
+    def holds(self, points: FloatArray) -> np.ndarray:
+        """Which of points (m, 3) lie on it: a mask (m,)."""
+        return np.abs(self.heights(points)) <= TOLERANCE
+
+
+def supporting_plane(
+    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
+) -> SupportingPlane:
+    """Find the plane with the most of the points (m, 3) [m] whose normal is within tilt [rad] of `up` (3,).
+
+    Random triples propose planes (RANSAC), least squares fit the best one to its points.
+
+    Raises
+    ------
+    InvalidInputError: no such plane holds `LEAST` of the points.
+    """
+    some = points[rng.integers(len(points), size=min(len(points), FITTED))]
+    normal, offset = _proposed(some, up, tilt, rng)
+    for _ in range(ROUNDS):
+        held = some[np.abs(some @ normal - offset) <= TOLERANCE]
+        if len(held) < 3:
+            break
+        middle = held.mean(axis=0)
+        fitted = np.linalg.svd(held - middle, full_matrices=False)[2][2]
+        normal = fitted if fitted @ normal > 0.0 else -fitted
+        offset = float(normal @ middle)
+    heights = points @ normal - offset
+    on = np.abs(heights) <= TOLERANCE
+    share = float(on.mean())
+    if share < LEAST or on.sum() < FEWEST or normal @ up < np.cos(tilt):
+        raise InvalidInputError(
+            f"no supporting plane: the best one holds {on.sum()} of {len(points)} points, {LEAST:.0%} and {FEWEST} are "
+            "needed; crop the cloud to the table, or give the camera's pose"
+        )
+    return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
+
+
+def _proposed(
+    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
+) -> tuple[FloatArray, float]:
+    """Normal (3,) and offset [m] of the best of many planes through three points."""
+    a, b, c = points[rng.integers(len(points), size=(3, TRIPLES))]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals[lengths > 0.0] /= lengths[lengths > 0.0, None]
+    normals[normals @ up < 0.0] *= -1.0
+    allowed = (lengths > 0.0) & (normals @ up >= np.cos(tilt))
+    if not allowed.any():
+        return up, np.inf
+    normals, a = normals[allowed], a[allowed]
+    offsets = np.einsum("ij,ij->i", normals, a)
+    judges = points[rng.integers(len(points), size=min(len(points), JUDGES))]
+    counts = (np.abs(judges @ normals.T - offsets) <= TOLERANCE).sum(axis=0)
+    best = int(np.argmax(counts))
+    return normals[best], float(offsets[best])
+
+
+def level_pose(points: FloatArray, plane: SupportingPlane, front: tuple[float, float, float]) -> FloatArray:
+    """T_world_camera (4, 4) that puts a table level, ahead of the camera's eye, its near edge's middle at `front` [m].
+
+    points: (m, 3) [m] in the optical frame, in which the plane was found.
+    """
+    straight_down = abs(plane.normal[2]) > STRAIGHT
+    T = np.eye(4)
+    T[:3, :3] = _axes(plane.normal, CAMERA_UP if straight_down else CAMERA_AHEAD)
+    table = points[on_table(points, plane)] @ T[:3, :3].T
+    near = np.quantile(table[:, 0], EDGE)
+    middle = np.quantile(table[:, 1], (EDGE, 1.0 - EDGE)).mean()
+    T[:3, 3] = np.array(front) - (near, middle, plane.offset)
+    return T
+
+
+def on_table(points: FloatArray, plane: SupportingPlane, gap: float = GAP) -> np.ndarray:
+    """Which of points (m, 3) [m] lie on the largest patch of the plane without wider gaps [m]: a mask (m,)."""
+    held = plane.holds(points)
+    across = points[held] @ _axes(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])[:2].T
+    cells = np.floor((across - across.min(axis=0)) / gap).astype(int)
+    taken = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    taken[tuple(cells.T)] = True
+    patch = ndimage.label(taken, np.ones((3, 3)))[0][tuple(cells.T)]
+    held[held] = patch == np.bincount(patch).argmax()
+    return held
+
+
+def box_around(points: FloatArray, plane: SupportingPlane, name: str = "table") -> SceneObject:
+    """A flat box, level with the plane, that holds points (m, 3) [m, world] of it."""
+    axes = _axes(plane.normal, np.array([1.0, 0.0, 0.0]))
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    T = np.eye(4)
+    T[:3, :3] = axes.T
+    T[:3, 3] = axes.T @ (*(0.5 * (low + high))[:2], plane.offset)
+    length, width = np.maximum(high - low, 2.0 * TOLERANCE)[:2].tolist()
+    return SceneObject(name, Box((length, width, 2.0 * TOLERANCE)), T)
+
+
+def _axes(normal: FloatArray, ahead: FloatArray) -> FloatArray:
+    """A frame (3, 3), rows x, y, z, whose z is the normal and whose x points ahead."""
+    x = ahead - np.dot(ahead, normal) * normal
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(normal, x), normal])

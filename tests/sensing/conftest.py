@@ -1,0 +1,52 @@
+"""A table, a box and the arm, as a depth camera sees them: files that the tests write."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.cameras.camera import DepthCamera, Lens
+from cvqmpt_lab.cameras.view import view_of
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.cameras import arm_objects, solids_of
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.sensing.camera import Pinhole
+from cvqmpt_lab.sensing.depth_images import write_depth
+
+ARM_AT = np.array([0.0, -0.6, 0.0, -2.4, 0.0, 1.9, 0.8])
+SCENE = Scene(
+    "bench",
+    (
+        SceneObject("table", Box((0.7, 1.2, 0.04)), pose((0.65, 0.0, -0.02))),
+        SceneObject("crate", Box((0.12, 0.12, 0.2)), pose((0.6, 0.3, 0.1), 0.4)),
+    ),
+)
+LENS = Lens(width=200, height=160, vertical_fov=55.0, near=0.2)
+EYE = DepthCamera((-0.5, -0.6, 1.1), (0.6, 0.0, 0.1))
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Depth image, intrinsics and extrinsics of one camera; the scene and the arm that it saw."""
+    robot = panda()
+    view = view_of(solids_of((*SCENE.objects, *arm_objects(robot, ARM_AT))), EYE, LENS)
+    depth, intrinsics, extrinsics = (tmp_path / name for name in ("depth.png", "lens.json", "pose.json"))
+    write_depth(depth, view.depth)
+    intrinsics.write_text(json.dumps(intrinsics_of(LENS)))
+    extrinsics.write_text(json.dumps(EYE.T_world_camera.tolist()))
+    return SimpleNamespace(
+        depth=depth,
+        intrinsics=intrinsics,
+        extrinsics=extrinsics,
+        view=view,
+        robot=robot,
+        q=ARM_AT,
+        folder=tmp_path,
+    )
+
+
+def intrinsics_of(lens):
+    return {name: getattr(Pinhole.of(lens), name) for name in ("width", "height", "fx", "fy", "cx", "cy")}

@@ -1,0 +1,144 @@
+"""Intrinsics and extrinsics in the forms that calibrations write, and what is wrong with others."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.sensing.camera import Pinhole, read_extrinsics, read_intrinsics
+
+PLAIN = {"width": 640, "height": 480, "fx": 525.0, "fy": 526.0, "cx": 319.5, "cy": 239.5}
+K = [525.0, 0.0, 319.5, 0.0, 526.0, 239.5, 0.0, 0.0, 1.0]
+BY_COLUMN = np.reshape(K, (3, 3)).T.ravel().tolist()
+ROS = """
+image_width: 640
+image_height: 480
+camera_name: head
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [525, 0.0, 319.5, 0.0, 5.26e2, 239.5, 0, 0, 1.]
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0e-5, 0, 0]}
+"""
+INTRINSICS = {
+    "plain.json": json.dumps(PLAIN),
+    "tabs.json": json.dumps(PLAIN, indent="\t"),
+    "plain.yaml": "\n".join(f"{key}: {value}" for key, value in PLAIN.items()),
+    "ros.yaml": ROS,
+    "message.yml": json.dumps({"width": 640, "height": 480, "K": K, "D": [0.0] * 5}),
+    "nested.json": json.dumps({"width": 640, "height": 480, "K": np.reshape(K, (3, 3)).tolist()}),
+    "open3d.json": json.dumps({"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMN}),
+}
+
+
+@pytest.mark.parametrize("name", INTRINSICS)
+def test_intrinsics_are_read_as_calibrations_write_them(name, tmp_path):
+    (tmp_path / name).write_text(INTRINSICS[name])
+    assert read_intrinsics(tmp_path / name) == Pinhole(**PLAIN)
+
+
+BAD_INTRINSICS = {
+    "missing": ({**PLAIN, "fx": None}, "fx is None"),
+    "focal": ({**PLAIN, "fx": -525.0}, "fx is -525"),
+    "principal": (
+        {**PLAIN, "cx": 900.0},
+        r"principal point \(900, 239.5\) is outside the image of 640 x 480",
+    ),
+    "unknown": ({**PLAIN, "focal": 1.0}, "focal is unknown"),
+    "list": ([1, 2], "must be an object with width, height"),
+    "distorted": (
+        {"width": 640, "height": 480, "K": K, "D": [0.1, 0, 0, 0]},
+        "the lens distorts; give rectified",
+    ),
+    "skewed": ({"width": 640, "height": 480, "K": [*K[:1], 3.0, *K[2:]]}, r"it must be \[\[fx, 0, cx\]"),
+    "short": ({"width": 640, "height": 480, "K": K[:8]}, r"K has shape \(8,\)"),
+    "words": ({"width": 640, "height": 480, "K": "none"}, "K"),
+    "no size": ({"K": K}, "width is None"),
+    "huge": ({**PLAIN, "width": 10**400}, "width"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_INTRINSICS)
+def test_bad_intrinsics_name_the_field(name, tmp_path):
+    data, message = BAD_INTRINSICS[name]
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(CvqmptError, match=message) as caught:
+        read_intrinsics(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+TURN = Rotation.from_euler("xyz", (-2.0, 0.1, 0.3))
+T = np.eye(4)
+T[:3, :3], T[:3, 3] = TURN.as_matrix(), (0.1, -0.5, 0.9)
+XYZW = TURN.as_quat().tolist()
+EXTRINSICS = {
+    "matrix.json": json.dumps(T.tolist()),
+    "named.yaml": json.dumps({"T_world_camera": T.tolist()}),
+    "rounded.json": json.dumps(T.round(4).tolist()),
+    "quaternion.json": json.dumps({"xyz": [0.1, -0.5, 0.9], "quaternion": XYZW}),
+    "angles.yaml": "xyz: [0.1, -0.5, 9e-1]\nrpy: [-2.0, 0.1, 0.3]\n",
+    "ros.yaml": f"translation: {{x: 0.1, y: -0.5, z: 0.9}}\nrotation: {dict(zip('xyzw', XYZW, strict=True))}\n",
+    "lists.json": json.dumps({"translation": [0.1, -0.5, 0.9], "rotation": XYZW}),
+}
+
+
+@pytest.mark.parametrize("name", EXTRINSICS)
+def test_extrinsics_are_read_in_every_form_of_a_pose(name, tmp_path):
+    (tmp_path / name).write_text(EXTRINSICS[name])
+    found = read_extrinsics(tmp_path / name)
+    np.testing.assert_allclose(found, T, atol=1e-4)
+    np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+BAD_EXTRINSICS = {
+    "no rotation": ((1.5 * T).tolist(), "last row"),
+    "scaled": ((np.diag([1.1, 1.1, 1.1, 1.0]) @ T).tolist(), "not orthonormal"),
+    "mirrored": ((T * [1, 1, -1, 1]).tolist(), "mirrored"),
+    "three rows": (T[:3].tolist(), r"shape \(3, 4\)"),
+    "long quaternion": ({"xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]}, "length 1.414; it must be 1"),
+    "no w": ({"translation": [0, 0, 0], "rotation": {"x": 0, "y": 0, "z": 1}}, "quaternion"),
+    "words": ({"xyz": "here"}, "xyz"),
+    "number": (3, "T_world_camera"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_EXTRINSICS)
+def test_bad_extrinsics_name_the_fault(name, tmp_path):
+    data, message = BAD_EXTRINSICS[name]
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(CvqmptError, match=message) as caught:
+        read_extrinsics(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+BAD_YAML = {
+    "aliases": ("a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", "has an alias"),
+    "tag": ("!!python/object/apply:os.system [echo]\n", "could not determine a constructor"),
+    "twice": ("xyz: [0, 0, 0]\nxyz: [1, 0, 0]\n", "key 'xyz' occurs twice"),
+    "deep": ("[" * 20_000, "recursion|end"),
+    "long": ("# " + "x" * 70_000, "has 70002 bytes; 65536 at most"),
+    "two documents": ("a: 1\n---\nb: 2\n", "single document"),
+    "a list as key": ("? [1, 2]\n: 3\n", "unhashable|key"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_YAML)
+def test_yaml_that_is_no_plain_settings_is_refused(name, tmp_path):
+    text, message = BAD_YAML[name]
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        read_extrinsics(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_another_suffix_is_refused(tmp_path):
+    with pytest.raises(
+        CvqmptError, match=r"kind of intrinsics cam.xml: suffix '.xml'; valid choices: .json, .yaml"
+    ):
+        read_intrinsics(tmp_path / "cam.xml")

@@ -1,0 +1,120 @@
+"""Depth images and clouds become points where they were seen; what contradicts itself is refused by name."""
+
+import json
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.sensing.camera import Pinhole
+from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.sensing.depth_images import deprojected, write_depth
+
+
+def test_a_depth_image_gives_the_points_that_the_camera_saw(files):
+    capture = read_capture(files.depth, files.intrinsics, files.extrinsics)
+    T = capture.T_world_camera
+    points = capture.points @ T[:3, :3].T + T[:3, 3]
+    assert len(points) == np.isfinite(files.view.depth).sum()
+    assert capture.unseen == files.view.depth.size - len(points)
+    np.testing.assert_allclose(points, files.view.points, atol=6e-4)  # millimetres were written
+
+
+@pytest.mark.parametrize("scale", [0.001, 0.0002, 0.00025])
+def test_a_scale_says_what_a_unit_is(files, scale):
+    write_depth(files.depth, files.view.depth, scale)
+    capture = read_capture(files.depth, files.intrinsics, scale=scale)
+    assert capture.points[:, 2].max() == pytest.approx(
+        files.view.depth[np.isfinite(files.view.depth)].max(), abs=scale
+    )
+
+
+def test_depth_in_metres_may_stand_in_an_array(files):
+    np.save(
+        files.folder / "depth.npy",
+        np.where(np.isfinite(files.view.depth), files.view.depth, np.nan).astype("f4"),
+    )
+    capture = read_capture(files.folder / "depth.npy", files.intrinsics, files.extrinsics)
+    points = capture.points @ capture.T_world_camera[:3, :3].T + capture.T_world_camera[:3, 3]
+    np.testing.assert_allclose(points, files.view.points, atol=1e-5)
+
+
+def test_pixels_without_depth_stay_holes_of_the_organised_cloud():
+    camera = Pinhole(3, 2, 100.0, 120.0, 1.0, 0.5)
+    cloud = deprojected(np.array([[1.0, np.nan, 2.0], [1.0, 1.0, 1.0]]), camera)
+    assert cloud.shape == (2, 3, 3) and np.isnan(cloud[0, 1]).all()
+    np.testing.assert_allclose(cloud[0, 2], [2.0 * (2 - 1) / 100, 2.0 * (0 - 0.5) / 120, 2.0])
+
+
+def picture(mode, size=(200, 160)):
+    return lambda path: Image.new(mode, size).save(path, format="PNG")
+
+
+def lying_png(path):
+    """A header of a billion pixels before a few bytes."""
+    body = struct.pack(">IIBBBBB", 32000, 32000, 16, 0, 0, 0, 0)
+    chunks = [(b"IHDR", body), (b"IDAT", zlib.compress(bytes(100))), (b"IEND", b"")]
+    parts = [struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+
+
+def cut(path):
+    """Half of an image."""
+    write_depth(path, np.random.default_rng(0).uniform(0.5, 2.0, (160, 200)))
+    path.write_bytes(path.read_bytes()[:30_000])
+
+
+def values(value):
+    return lambda path: write_depth(path, np.full((160, 200), value), 0.001)
+
+
+BAD_IMAGES = {
+    "colour": (picture("RGB"), "picture of mode RGB, no depth"),
+    "grey of 8 bits": (picture("L"), "picture of mode L, no depth"),
+    "another size": (picture("I;16", (100, 80)), "100 x 80 pixels, the intrinsics are for 200 x 160"),
+    "a billion pixels": (lying_png, "32000 x 32000 pixels, the intrinsics are for 200 x 160|exceeds limit"),
+    "cut short": (cut, "truncated"),
+    "no PNG": (lambda path: path.write_text("<!DOCTYPE html>"), "cannot identify"),
+    "nothing seen": (values(0.0), "saw nothing, every pixel is 0"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_IMAGES)
+def test_what_is_no_depth_image_of_the_camera_is_refused(files, name):
+    write, message = BAD_IMAGES[name]
+    write(files.depth)
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        read_capture(files.depth, files.intrinsics)
+    assert str(files.depth) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_units_that_cannot_be_meant_are_named(files):
+    with pytest.raises(
+        InvalidInputError, match=r"half of it is more than .* m off the origin|more than 1000"
+    ):
+        read_capture(files.depth, files.intrinsics, scale=1.0)
+    with pytest.raises(InvalidInputError, match=r"all of it lies within .* mm: no metres\?"):
+        read_capture(files.depth, files.intrinsics, scale=1e-7)
+
+
+def test_an_image_needs_its_intrinsics(files):
+    with pytest.raises(InvalidInputError, match=r"depth image .* needs the intrinsics"):
+        read_capture(files.depth)
+
+
+def test_an_array_of_depths_may_not_lie_about_its_size(files):
+    path = files.folder / "depth.npy"
+    np.save(path, np.ones((160, 200)))
+    path.write_bytes(path.read_bytes().replace(b"(160, 200)", b"(160,2000)"))
+    with pytest.raises(InvalidInputError, match="the file holds another size"):
+        read_capture(path, files.intrinsics)
+
+
+def test_a_cloud_is_moved_by_its_extrinsics(files):
+    np.save(files.folder / "cloud.npy", np.array([[0.0, 0.0, 1.0], [np.nan, 0, 0], [0.1, 0.2, 1.5]]))
+    capture = read_capture(files.folder / "cloud.npy", extrinsics=files.extrinsics)
+    assert len(capture.points) == 2 and capture.unseen == 1
+    np.testing.assert_allclose(capture.T_world_camera, json.loads(files.extrinsics.read_text()))

@@ -1,0 +1,58 @@
+"""Filters take away the robot and lonely points, and nothing else."""
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.loading import panda, robot_from_source
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.sensing.filters import lonely, near_robot
+
+MARGIN = 0.03
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_points_near_the_robot_are_found_as_coal_measures_them(name):
+    robot, rng = robot_from_source({"name": name}), np.random.default_rng(0)
+    q = robot.random_configurations(rng, 1)[0]
+    points = robot.pose(q)[:3, 3] * rng.uniform(0, 1, (1500, 1)) + rng.uniform(-0.2, 0.2, (1500, 3))
+    near = near_robot(points, robot, q, MARGIN)
+    distances = np.array([distance_to(robot, q, point) for point in points])
+    assert near[distances < MARGIN - 1e-4].all() and (distances < MARGIN).sum() > 20
+    assert not near[distances > np.sqrt(3) * MARGIN].any(), "corners reach no farther than those of a cube"
+    assert near.sum() < 1.5 * (distances < MARGIN).sum()
+
+
+def distance_to(robot, q, point):
+    """Of a point from the moving and fixed pieces of the robot at q, by coal [m]."""
+    data, geometry = robot.model.createData(), robot.collision_model
+    placed = pin.GeometryData(geometry)
+    pin.updateGeometryPlacements(robot.model, data, geometry, placed, q)
+    here = coal.Transform3s(np.eye(3), point)
+    request = coal.DistanceRequest()
+    distances = []
+    for item, T in zip(geometry.geometryObjects, placed.oMg, strict=True):
+        there, result = coal.Transform3s(T.rotation, T.translation), coal.DistanceResult()
+        distances.append(coal.distance(item.geometry, there, coal.Sphere(1e-9), here, request, result))
+    return min(distances)
+
+
+def test_what_is_left_does_not_touch_the_robot():
+    robot, rng = panda(), np.random.default_rng(1)
+    points = rng.uniform(-0.8, 0.8, (20_000, 3)) + (0, 0, 0.5)
+    q = np.array([0.3, -0.6, 0.1, -2.2, 0.0, 1.8, 0.7])
+    left = points[~near_robot(points, robot, q, 0.011)]
+    scene = Scene("s", (SceneObject("scan", PointCloud(left[:900], 0.01), pose((0, 0, 0))),))
+    assert not CollisionChecker(robot, scene).in_collision(q)
+
+
+def test_lonely_points_are_those_with_few_neighbours():
+    points = np.random.default_rng(2).uniform(0, 1, (400, 3))
+    counts = (np.linalg.norm(points[:, None] - points, axis=2) <= 0.1).sum(axis=1) - 1
+    np.testing.assert_array_equal(lonely(points, 0.1, 2), counts < 2)
+    assert 0 < (counts < 2).sum() < len(points)
+    assert lonely(points[:2], 1.0, 2).all(), "fewer points than neighbours asked for"

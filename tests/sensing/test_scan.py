@@ -1,0 +1,108 @@
+"""A scan becomes a cloud of what stands around the robot: cropped, thinned, without the arm, without table if asked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.cameras import BoxCrop
+from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.sensing.filters import near_robot
+from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
+
+CROP = BoxCrop((-0.3, -0.9, -0.2), (1.2, 0.9, 1.2))
+
+
+@pytest.fixture
+def capture(files):
+    return read_capture(files.depth, files.intrinsics, files.extrinsics)
+
+
+def cleaned(capture, arm=None, **settings):
+    return scan([capture], ScanSettings(**settings), np.random.default_rng(0), arm)
+
+
+def test_the_report_counts_what_each_filter_took(files, capture):
+    made = cleaned(capture, Arm(files.robot, files.q), crop=CROP)
+    assert [step.name for step in made.steps] == ["crop", "voxels", "robot", "outliers"]
+    assert made.steps[0].before == len(capture.points) and made.steps[-1].after == len(made.points)
+    for one, next_one in zip(made.steps, made.steps[1:], strict=False):
+        assert one.after == next_one.before <= one.before
+    assert CROP.contains(made.points).all()
+
+
+def test_the_arm_in_the_picture_is_no_obstacle(files, capture):
+    arm = Arm(files.robot, files.q)
+    with_arm, made = cleaned(capture), cleaned(capture, arm)
+    assert near_robot(with_arm.points, *arm, 0.05).sum() > 100
+    assert not near_robot(made.points, *arm, 0.05).any()
+    assert CollisionChecker(files.robot, with_arm.scene()).in_collision(files.q)
+    assert not CollisionChecker(files.robot, made.scene()).in_collision(files.q)
+    refuse_touching(made.scene(), arm)
+    with pytest.raises(InvalidInputError, match=r"the arm stands inside the scan: panda_\w+ and scan meet"):
+        refuse_touching(with_arm.scene(), arm)
+
+
+def test_captures_are_merged_where_their_cameras_stand(capture):
+    half = len(capture.points) // 2
+    parts = [replace(capture, points=part) for part in (capture.points[:half], capture.points[half:])]
+    settings = ScanSettings(neighbours=0)
+    both = scan(parts, settings, np.random.default_rng(0))
+    np.testing.assert_allclose(both.points, cleaned(capture, neighbours=0).points, atol=1e-9)
+    assert both.unseen == 2 * capture.unseen
+
+
+def test_a_scan_without_a_pose_is_levelled_by_its_table(files, capture):
+    made = cleaned(replace(capture, T_world_camera=np.eye(4)), level=True, front=(0.3, 0.0, 0.0))
+    T = made.T_world_camera
+    tilt = np.degrees(np.arccos(T[2, :3] @ capture.T_world_camera[2, :3]))
+    assert tilt < 0.5, "the same vertical as that of the camera's true pose"
+    top = made.points[np.abs(made.points[:, 2]) < 0.01]
+    assert len(top) > 0.4 * len(made.points)
+    assert T[2, 3] == pytest.approx(capture.T_world_camera[2, 3], abs=0.005), (
+        "the camera is as high above the table"
+    )
+
+
+@pytest.mark.parametrize("plane", ["box", "remove"])
+def test_the_table_becomes_a_box_or_goes(files, capture, plane):
+    arm = Arm(files.robot, files.q)
+    made, kept = cleaned(capture, arm, plane=plane), cleaned(capture, arm)
+    assert made.steps[-1].name == "supporting plane" and len(made.points) < 0.6 * len(kept.points)
+    assert abs(made.plane.heights(np.array([[0.6, 0.0, 0.0]]))[0]) < 0.005
+    crate = (np.abs(made.points - (0.6, 0.3, 0.1)) < (0.1, 0.1, 0.11)).all(axis=1)
+    assert crate.sum() > 100, "what stands on the table stays"
+    assert (made.table is not None) == (plane == "box")
+    if made.table is not None:
+        assert set(made.scene().names) == {"table", "scan"}
+        np.testing.assert_allclose(made.table.T_world_object[2, 3], 0.0, atol=0.005)
+
+
+def test_nothing_left_names_the_filter_and_where_the_points_were(capture):
+    with pytest.raises(
+        InvalidInputError, match=r"nothing of the scan is left after crop: before, its \d+ points lay"
+    ):
+        cleaned(capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
+
+
+def test_two_captures_cannot_be_levelled(capture):
+    with pytest.raises(InvalidInputError, match="2 captures cannot be levelled"):
+        scan([capture, capture], ScanSettings(level=True), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("settings", [{"voxel": 0.0}, {"voxel": float("nan")}, {"robot_margin": -0.1}])
+def test_settings_without_sense_are_refused(settings):
+    with pytest.raises(InvalidInputError, match=r"give (more than 0|0 or more)"):
+        ScanSettings(**settings)
+
+
+def test_balls_cover_the_surface_that_the_camera_saw(files, capture):
+    made = cleaned(capture, neighbours=0)
+    cloud = made.scene()["scan"].shape
+    seen = capture.points @ capture.T_world_camera[:3, :3].T + capture.T_world_camera[:3, 3]
+    some = seen[:: len(seen) // 300]
+    nearest = np.linalg.norm(some[:, None] - cloud.points, axis=2).min(axis=1)
+    assert nearest.max() <= cloud.radius * 2.0 + 1e-9
+    assert np.mean(nearest <= cloud.radius) > 0.999

@@ -1,0 +1,80 @@
+"""The table is found in oblique scans, and put level in front of the robot."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.sensing.supporting_plane import (
+    CAMERA_TILT,
+    CAMERA_UP,
+    box_around,
+    level_pose,
+    on_table,
+    supporting_plane,
+)
+
+FRONT = (0.4, 0.1, -0.05)
+
+
+def table(rng, count=6000):
+    """A table of 0.8 x 1 m whose near edge is at the origin, things on it, a wall behind, noise: points (m, 3)."""
+    top = np.c_[rng.uniform(0, 0.8, count), rng.uniform(-0.5, 0.5, count), 0.002 * rng.standard_normal(count)]
+    boxes = rng.uniform((0.3, -0.1, 0.0), (0.5, 0.2, 0.15), (count // 4, 3))
+    wall = np.c_[np.full(count // 2, 1.6), rng.uniform(-1, 1, count // 2), rng.uniform(-0.5, 1, count // 2)]
+    return np.concatenate([top, boxes, wall])
+
+
+def camera_pose(pitch, roll=0.0):
+    """T_world_camera of an optical frame that looks along x, `pitch` [deg] down, from before the table."""
+    T = np.eye(4)
+    ahead_right = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])  # columns: right, down, ahead
+    T[:3, :3] = Rotation.from_euler("y", pitch, degrees=True).as_matrix() @ ahead_right
+    T[:3, :3] = T[:3, :3] @ Rotation.from_euler("z", roll, degrees=True).as_matrix()
+    T[:3, 3] = (-0.3, 0.05, 0.8)
+    return T
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(15, 0), (45, 10), (70, -20), (88, 5)])
+def test_an_oblique_scan_is_put_level(pitch, roll):
+    rng = np.random.default_rng(pitch)
+    world, T = table(rng), camera_pose(pitch, roll)
+    seen = (world - T[:3, 3]) @ T[:3, :3]
+    plane = supporting_plane(seen, CAMERA_UP, CAMERA_TILT, rng)
+    assert plane.residual < 0.004 and plane.offset == pytest.approx(-0.8, abs=0.003)
+    assert np.degrees(np.arccos(plane.normal @ (T[:3, :3].T @ (0, 0, 1)))) < 0.3
+    level = level_pose(seen, plane, FRONT)
+    np.testing.assert_allclose(level[:3, :3] @ level[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(level[:3, :3]) > 0
+    back = (seen @ level[:3, :3].T + level[:3, 3])[:6000]
+    assert abs(np.median(back[:, 2]) - FRONT[2]) < 0.003 and np.std(back[:, 2]) < 0.005
+    assert back[:, 0].min() == pytest.approx(FRONT[0], abs=0.1)
+    if roll == 0:
+        np.testing.assert_allclose(back, world[:6000] + FRONT, atol=0.03)
+
+
+def test_a_box_holds_the_points_of_the_plane():
+    rng = np.random.default_rng(0)
+    points = table(rng) + (0.4, 0.1, 0.2)
+    plane = supporting_plane(points, np.array([0, 0, 1.0]), 0.2, rng)
+    held = points[on_table(points, plane)]
+    box = box_around(held, plane)
+    local = (held - box.T_world_object[:3, 3]) @ box.T_world_object[:3, :3]
+    assert (np.abs(local) <= 0.5 * np.array(box.shape.size) + 1e-9).all()
+    np.testing.assert_allclose(box.T_world_object[:3, 3], (0.8, 0.1, 0.2), atol=0.01)
+    np.testing.assert_allclose(box.shape.size[:2], (0.8, 1.0), atol=0.03)
+
+
+SCATTERED = np.random.default_rng(0).uniform(-1, 1, (5000, 3))
+NO_TABLES = {
+    "scattered": SCATTERED,
+    "one point": np.zeros((1, 3)),
+    "one place": np.zeros((50, 3)),
+    "wall": SCATTERED * (0, 1, 1),
+}
+
+
+@pytest.mark.parametrize("name", NO_TABLES)
+def test_a_cloud_without_a_table_is_refused(name):
+    with pytest.raises(InvalidInputError, match="no supporting plane: the best one holds"):
+        supporting_plane(NO_TABLES[name], np.array([0, 0, 1.0]), 0.2, np.random.default_rng(0))
