@@ -68,7 +68,7 @@ class ResultRow:
     ------
     InvalidInputError, UnknownChoiceError
         For a value of the wrong type or not finite, text that is empty, unprintable or like a formula, a
-        negative number (other than ``min_clearance_m``), ``solved`` without ``certified``, or a run that
+        negative number (other than a clearance), ``solved`` without ``certified``, or a run that
         neither is solved nor has a ``fail_reason``, or both.
     """
 
@@ -114,6 +114,14 @@ class ResultRow:
     min_clearance_m: float | None = None
     """Negative where bodies overlap."""
     path_sha256: str | None = None
+    t_sense_s: float | None = None
+    """From depth images in files to the map that is planned in, of scanned scenes; not in `t_total_s`."""
+    t_whole_s: float | None = None
+    """From depth images in files to the certificate, everything counted, of scanned scenes."""
+    true_free: bool | None = None
+    """Whether the path is free in the scene that was scanned, which planners do not know."""
+    true_clearance_m: float | None = None
+    """Of the path in that scene; negative where bodies overlap."""
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():
@@ -139,6 +147,9 @@ class ResultRow:
 
 
 COLUMNS: tuple[str, ...] = tuple(field_kinds(ResultRow))
+FIRST_COLUMNS = COLUMNS.index("t_sense_s")
+"""So many are in every file; those after them are empty where a file was written before they were added."""
+SIGNED = ("min_clearance_m", "true_clearance_m")
 
 
 def _checked(column: str, kind: Any, value: object) -> object:
@@ -152,7 +163,7 @@ def _checked(column: str, kind: Any, value: object) -> object:
         raise InvalidInputError(
             f"{column} is {plain!r}; it must be one non-empty line that does not begin like a formula"
         )
-    if isinstance(plain, float) and plain < 0 and column != "min_clearance_m":
+    if isinstance(plain, float) and plain < 0 and column not in SIGNED:
         raise InvalidInputError(f"{column} is {plain}; it cannot be negative")
     if column == "schema" and plain != SCHEMA:
         raise InvalidInputError(f"schema is {plain!r}; this version reads and writes {SCHEMA!r}")
@@ -204,11 +215,11 @@ def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
     return sorted(rows, key=lambda r: (r.suite, natural_key(r.problem), r.planner, r.seed, r.backend))
 
 
-def _parse_row(where: str, fields: list[str]) -> ResultRow:
-    if len(fields) != len(COLUMNS):
-        raise RunStoreError(f"{where}: {len(fields)} fields, expected {len(COLUMNS)}")
+def _parse_row(where: str, fields: list[str], columns: int) -> ResultRow:
+    if len(fields) != columns:
+        raise RunStoreError(f"{where}: {len(fields)} fields, expected {columns}")
     values: dict[str, Any] = {}
-    for (column, kind), text in zip(field_kinds(ResultRow).items(), fields, strict=True):
+    for (column, kind), text in zip(field_kinds(ResultRow).items(), fields, strict=False):
         try:
             values[column] = _from_text(kind, text)
         except ValueError:
@@ -219,22 +230,24 @@ def _parse_row(where: str, fields: list[str]) -> ResultRow:
         raise RunStoreError(f"{where}, column {error}") from None
 
 
-def _parse_header(path: Path, fields: list[str]) -> None:
-    for index, (found, expected) in enumerate(zip_longest(fields, COLUMNS, fillvalue="nothing"), start=1):
+def _parse_header(path: Path, fields: list[str]) -> int:
+    """Number of the columns that a file has."""
+    known = COLUMNS[: max(FIRST_COLUMNS, len(fields))]
+    for index, (found, expected) in enumerate(zip_longest(fields, known, fillvalue="nothing"), start=1):
         if found != expected:
             raise RunStoreError(
                 f"{path}, line 1, column {index}: expected {expected}, found {found}; "
                 f"the file is not a table of runs of this version (schema {SCHEMA}), use another --out"
             )
+    return len(known)
 
 
 def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     """Rows of the text of a csv; empty lines are skipped. Raises as `read_rows`, naming `path`."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        if header:
-            _parse_header(path, next(reader, []))
-        return [_parse_row(f"{path}, line {reader.line_num}", fields) for fields in reader if fields]
+        columns = _parse_header(path, next(reader, [])) if header else len(COLUMNS)
+        return [_parse_row(f"{path}, line {reader.line_num}", fields, columns) for fields in reader if fields]
     except csv.Error as error:
         raise RunStoreError(f"{path}, line {reader.line_num}, column unknown: {error}") from error
 
