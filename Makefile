@@ -1,16 +1,17 @@
-# make venv | reproduce | test | lint | bench | clean. All but the first call make venv.
+# make venv | reproduce | test | trust | lint | bench | clean. All but the first call make venv.
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help venv reproduce test lint warmup check-tables pytest bench clean
+.PHONY: help venv reproduce test lint warmup check-tables pytest trust bench clean
 
 help:
 	@echo "make venv        .venv with everything pinned in constraints.txt (PYTHON=python3.11 picks another)"
 	@echo "make reproduce   20 problems of the place task, all planners, and their table"
 	@echo "make test        lint, table regression, tests"
+	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
 	@echo "make lint        ruff, mypy, import-linter"
 	@echo "make bench       what kernels and planners cost here"
 	@echo "make clean       remove caches and builds; .venv and runs/ stay"
@@ -44,6 +45,9 @@ pytest: venv
 
 # Tests come last, so that their summary is the last thing printed.
 test: lint warmup check-tables pytest
+
+trust: warmup
+	nice $(BIN)/cvqmpt trust --long --record docs/guarantees.md
 
 bench: warmup
 	$(BIN)/cvqmpt bench kernels

@@ -16,6 +16,7 @@ COMMANDS = {
     "problems": "list or export the problems of a suite, or write one to start from",
     "ik": "find configurations for a pose or region, for a problem file",
     "robot": "show what is understood of a robot's description, or list the arms that have a name",
+    "trust": "put what is promised to the test: repeats, faults, hostile files, edges",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
     "data": "make training paths",
     "train": "train the dictionary, the sequence model or MPNet",

@@ -1,0 +1,1 @@
+"""Promises put to the test: what docs/guarantees.md says, attacked and counted."""

@@ -1,0 +1,55 @@
+"""What a promise is put to: so many trials, and the faults that they found."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Trial(NamedTuple):
+    """What came of a check."""
+
+    tried: int
+    """Trials made, in the check's unit."""
+    faults: Sequence[str]
+    """One line each: what was tried, so that it can be tried again, and what went wrong."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One promise."""
+
+    promise: str
+    """In a few words, as docs/guarantees.md lists it."""
+    unit: str
+    """What is counted, in the plural."""
+    short: int
+    """Trials in the tests of every commit; 0 to leave it out there."""
+    long: int
+    """Trials of `make trust`."""
+    attack: Callable[[int], Trial]
+    """Makes about so many trials."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A check that was made."""
+
+    part: str
+    check: Check
+    trial: Trial
+    seconds: float
+    """Wall time [s]."""
+
+    def __str__(self) -> str:
+        verdict = f"{len(self.trial.faults)} faults" if self.trial.faults else "no fault"
+        return (
+            f"{self.part:14} {self.check.promise}: {self.trial.tried} {self.check.unit}, {verdict} "
+            f"({self.seconds:.0f} s)"
+        )
+
+
+def made(part: str, check: Check, trials: int) -> Finding:
+    """Make a check."""
+    began = time.perf_counter()
+    return Finding(part, check, check.attack(trials), time.perf_counter() - began)
