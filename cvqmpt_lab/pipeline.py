@@ -19,6 +19,7 @@ from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.simplify import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.threads import one_thread
 
 MAX_GOALS = 20
 _log = logging.getLogger("cvqmpt")
@@ -46,6 +47,7 @@ class Solution:
         return self.certificate is not None and self.certificate.valid
 
 
+@one_thread()
 def solve(
     problem: PlanningProblem,
     method: Method | str,
