@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models.checkpoint import load_any, save_checkpoint
-from cvqmpt_lab.models.published.checkpoint_import import import_published
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
+from cvqmpt_lab.models.stored import read_model
 from cvqmpt_lab.models.weights_folder import read_description, weights_digest
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
@@ -61,6 +60,10 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     """Convert published folders, whose weights are the Panda's."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InvalidInputError(f"{out} is there and not empty; choose another --out")
+    require_torch("cvqmpt model import")
+    from cvqmpt_lab.models.checkpoint import save_checkpoint
+    from cvqmpt_lab.models.published.checkpoint_import import import_published
+
     imported = import_published(dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"})))
     report = imported.report
     print(f"{'state':20} {'tensors':>8} {'numbers':>12}")
@@ -73,23 +76,23 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
 
 def _info(folder: Path) -> dict[str, Any]:
     """Everything a folder of weights holds but the weights, which are read and checked."""
-    checkpoint, description = load_any(folder), read_description(folder)
+    model, description = read_model(folder), read_description(folder)
     parts = {
         f"{name}.safetensors": {
             "bytes": (folder / f"{name}.safetensors").stat().st_size,
-            "parameters": sum(parameter.numel() for parameter in module.parameters()),
+            "numbers": sum(array.size for array in arrays.values()),
             "sha256": description.sha256[name],
         }
-        for name, module in checkpoint.parts.items()
+        for name, arrays in model.parts.items()
     }
     return {
         "folder": str(folder),
         "sha256": weights_digest(folder),
-        "architecture": checkpoint.architecture,
-        "robot": to_plain(checkpoint.robot, complete=True),
+        "architecture": model.architecture,
+        "robot": to_plain(model.robot, complete=True),
         "parts": parts,
-        "model": to_plain(checkpoint.config, complete=True),
-        "metadata": dict(checkpoint.metadata),
+        "model": to_plain(model.config, complete=True),
+        "metadata": dict(model.metadata),
     }
 
 
@@ -107,9 +110,9 @@ def _summary(found: dict[str, Any]) -> list[str]:
     names = robot["joints"] or [str(joint) for joint in range(len(robot["lower"]))]
     for name, lower, upper in zip(names, robot["lower"], robot["upper"], strict=True):
         lines.append(f"    {name:20} {lower:8g} .. {upper:g}")
-    lines += ["", f"{'file':28} {'bytes':>12} {'parameters':>12}"]
+    lines += ["", f"{'file':28} {'bytes':>12} {'numbers':>12}"]
     for name, part in found["parts"].items():
-        lines.append(f"{name:28} {part['bytes']:>12,} {part['parameters']:>12,}")
+        lines.append(f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}")
     shown = {name: metadata[name] for name in SUMMARY if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}

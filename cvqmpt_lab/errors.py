@@ -5,6 +5,7 @@ Failing to plan is a result (`PlanStatus`), never an exception. The command line
 """
 
 import difflib
+import importlib.util
 import reprlib
 from collections.abc import Iterable
 
@@ -51,3 +52,11 @@ class InvalidProblemError(InvalidInputError):
 
 class RunStoreError(InvalidInputError):
     """A results directory that cannot be read, written or continued."""
+
+
+def require_torch(what: str) -> None:
+    """Raise InvalidInputError that tells the cure when torch, which `what` needs, is not installed."""
+    if importlib.util.find_spec("torch") is None:
+        raise InvalidInputError(
+            f"{what} needs torch, which is not installed: pip install 'cvqmpt-lab[train]'"
+        )

@@ -16,7 +16,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 
-DTYPES = {name: np.dtype(name) for name in ("float64", "int64", "int32", "int8", "uint8", "bool")}
+DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")}
 
 
 class _Array(NamedTuple):

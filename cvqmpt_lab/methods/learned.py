@@ -14,15 +14,14 @@ from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
 from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.methods.observation import Observer
-from cvqmpt_lab.models.checkpoint import Checkpoint, load_any
-from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
+from cvqmpt_lab.models.stored import StoredModel, read_model
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, Timings
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
-from cvqmpt_lab.prediction.collision_head import free_probability
+from cvqmpt_lab.prediction.collision_head import CollisionHead
 from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.prediction import Prediction
@@ -100,14 +99,9 @@ class MovedCodes:
 
 
 @lru_cache(maxsize=4)
-def _checkpoint(weights: Weights) -> Checkpoint | MPNetCheckpoint:
-    return load_any(resolve_model(weights.model or weights.kind, SHIPPED[weights.kind]))
-
-
-def _vq_mpt(weights: Weights) -> Checkpoint:
-    checkpoint = _checkpoint(weights)
-    assert isinstance(checkpoint, Checkpoint)
-    return checkpoint
+def _model(weights: Weights) -> StoredModel:
+    of = SHIPPED[weights.kind]
+    return read_model(resolve_model(weights.model or weights.kind, of), architecture=of)
 
 
 @lru_cache(maxsize=1)
@@ -117,13 +111,18 @@ def _observer() -> Observer:
 
 @lru_cache(maxsize=16)
 def _predictor(weights: Weights, robot: Robot, settings: PredictorSettings) -> Predictor:
-    return Predictor(_vq_mpt(weights), robot, settings)
+    return Predictor(_model(weights), robot, settings)
+
+
+@lru_cache(maxsize=4)
+def _collision_head(weights: Weights, robot: Robot) -> CollisionHead:
+    return CollisionHead(_model(weights), robot)
 
 
 @lru_cache(maxsize=8)
 def dictionary_roadmap(weights: Weights, robot: Robot) -> Roadmap:
     """The dictionary: one configuration drawn from each code's Gaussian."""
-    means, covariances = dictionary_gaussians(_vq_mpt(weights), robot)
+    means, covariances = dictionary_gaussians(_model(weights), robot)
     nodes = drawn_nodes(means, covariances, robot, np.random.default_rng(ROADMAP_DRAW))
     return Roadmap.of(nodes, covariances)
 
@@ -193,8 +192,8 @@ def believed_blocked(weights: Weights, roadmap: Roadmap) -> Callable[[Query, Obs
 
     def blocked(query: Query, observation: Observation) -> np.ndarray:
         assert observation.cloud is not None
-        free = free_probability(_vq_mpt(weights), query.space.robot, observation.cloud, roadmap.nodes)
-        return free < BELIEVED
+        head = _collision_head(weights, query.space.robot)
+        return head.free_probability(observation.cloud, roadmap.nodes) < BELIEVED
 
     return blocked
 
@@ -204,8 +203,8 @@ def moved_to_manifold(weights: Weights) -> Callable[[Query, np.ndarray], Gaussia
 
     def move(query: Query, codes: np.ndarray) -> Gaussians:
         predictor = _predictor(weights, query.space.robot, PredictorSettings())
-        z = predictor.checkpoint.dictionary.quantizer.embedding.weight.detach().numpy()[codes]
-        moved = LatentOptimizer(predictor).optimize_codes(z, None, query.space.problem.manifold, query.rng)
+        z, manifold = predictor.vectors[codes], query.space.problem.manifold
+        moved = LatentOptimizer(predictor).optimize_codes(z, None, manifold, query.rng)
         gaussians, model = predictor.decoder.decode(moved.z, None), predictor.configurations
         means = model.radians(gaussians.mean.astype(float))
         return Gaussians(means, gaussians.covariance * np.outer(model.range, model.range))
@@ -217,11 +216,11 @@ def true_codes(name: str) -> Build:
     """The codes of an unconstrained path of the very problem: a model that never errs."""
 
     def build(robot: Robot, weights: Weights) -> Stages:
-        means, covariances = dictionary_gaussians(_vq_mpt(weights), robot)
+        means, covariances = dictionary_gaussians(_model(weights), robot)
         share = PredictorSettings().uniform_share
 
         def suggest(query: Query, path: JointPath) -> SamplingDistribution:
-            codes = np.unique(codes_of(_vq_mpt(weights), robot, path.spaced(0.2)))
+            codes = np.unique(codes_of(_model(weights), robot, path.spaced(0.2)))
             return GaussianMixture.equal(means[codes], covariances[codes], query.uniform, share, name)
 
         return Stages(predict=UnconstrainedPath(suggest))
@@ -231,17 +230,13 @@ def true_codes(name: str) -> Build:
 
 def mpnet(robot: Robot, weights: Weights) -> Stages:
     """MPNet's rollouts."""
-    checkpoint = _checkpoint(weights)
-    assert isinstance(checkpoint, MPNetCheckpoint)
-    seen = CameraSettings.like_training(checkpoint.network.config.n_points)
+    seen = CameraSettings.like_training(_model(weights).config.n_points)
     return Stages(predict=_rollouts(weights), observe=_mpnet_observer(seen))
 
 
 @lru_cache(maxsize=4)
 def _rollouts(weights: Weights) -> MPNetRollouts:
-    checkpoint = _checkpoint(weights)
-    assert isinstance(checkpoint, MPNetCheckpoint)
-    return MPNetRollouts(checkpoint)
+    return MPNetRollouts(_model(weights))
 
 
 @lru_cache(maxsize=4)

@@ -16,13 +16,13 @@ from itertools import pairwise
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.mpnet.inference import MPNetInference
-from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
+from cvqmpt_lab.models.stored import StoredModel
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, PlanStatus, Timings
+from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -66,10 +66,10 @@ class Rollout:
 class MPNetRollouts:
     """A trained MPNet as a proposer of whole paths; see the module."""
 
-    def __init__(self, checkpoint: MPNetCheckpoint, settings: MPNetSettings | None = None) -> None:
+    def __init__(self, model: StoredModel, settings: MPNetSettings | None = None) -> None:
         """Take a snapshot of the weights."""
         self.settings = MPNetSettings() if settings is None else settings
-        self.network = MPNetInference(checkpoint.network)
+        self.network = MPNetNetwork(model)
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
@@ -109,7 +109,7 @@ class MPNetRollouts:
 class _Run:
     """One call of `MPNetRollouts`: rollouts, and the paths through them."""
 
-    network: MPNetInference
+    network: MPNetNetwork
     settings: MPNetSettings
     query: Query
     code: np.ndarray

@@ -1,21 +1,23 @@
-"""Trained models on disk: VQ-MPT (the dictionary, and the sequence model once there is one) and MPNet."""
+"""Trained models as torch modules: VQ-MPT (dictionary, and sequence model once there is one) and MPNet."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import torch
 from torch import nn
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
-from cvqmpt_lab.models.config import ModelConfig
+from cvqmpt_lab.models.config import ModelConfig, MPNetConfig
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint, load_mpnet
+from cvqmpt_lab.models.mpnet.network import MPNet
 from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.weights_folder import CONFIG_FILE, load_part, read_description, write_weights
+from cvqmpt_lab.models.stored import MPNET, VQ_MPT, StoredModel, read_model
+from cvqmpt_lab.models.tensors import filled
+from cvqmpt_lab.models.weights_folder import write_weights
 
 SequenceModel = PublishedSequenceModel | CompactSequenceModel
 _SEQUENCE_MODELS: dict[str, type[PublishedSequenceModel] | type[CompactSequenceModel]] = {
@@ -33,7 +35,7 @@ def build_sequence_model(config: ModelConfig) -> SequenceModel:
 class Checkpoint:
     """A VQ-MPT model and what it belongs to."""
 
-    architecture: ClassVar[str] = "vq-mpt"
+    architecture: ClassVar[str] = VQ_MPT
 
     config: ModelConfig
     robot: RobotSignature
@@ -42,13 +44,6 @@ class Checkpoint:
     """None after stage 1 alone."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """Json values: how it was trained."""
-
-    def __post_init__(self) -> None:
-        if len(self.robot.lower) != self.config.joint_dim:
-            raise InvalidInputError(
-                f"robot {self.robot.name!r} has limits of {len(self.robot.lower)} joints, "
-                f"the model {self.config.joint_dim} joints"
-            )
 
     @property
     def parts(self) -> dict[str, nn.Module]:
@@ -59,8 +54,40 @@ class Checkpoint:
         return parts
 
 
+@dataclass(frozen=True, eq=False)
+class MPNetCheckpoint:
+    """A trained MPNet and what it belongs to."""
+
+    architecture: ClassVar[str] = MPNET
+
+    robot: RobotSignature
+    network: MPNet
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Json values: how it was trained."""
+
+    @property
+    def config(self) -> MPNetConfig:
+        """Sizes of the network."""
+        return self.network.config
+
+    @property
+    def parts(self) -> dict[str, nn.Module]:
+        """Modules by the name of their weights file."""
+        return {"mpnet": self.network}
+
+
 Trained = Checkpoint | MPNetCheckpoint
-"""Whatever `save_checkpoint` writes."""
+
+
+def stored(checkpoint: Trained) -> StoredModel:
+    """A checkpoint's weights as they are now, copied to plain arrays."""
+    parts = {
+        name: {key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()}
+        for name, module in checkpoint.parts.items()
+    }
+    return StoredModel(
+        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
+    )
 
 
 def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
@@ -77,48 +104,27 @@ def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
         to_plain(checkpoint.config, complete=True),
         checkpoint.robot,
         checkpoint.metadata,
-        checkpoint.parts,
+        stored(checkpoint).parts,
     )
 
 
 def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
     """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU.
 
-    Parameters
-    ----------
-    folder
-        What `save_checkpoint` wrote.
-    robot
-        The robot at hand; the weights must belong to it. None to skip the comparison.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the file that is missing or damaged (sha256), the field of ``config.json`` or the tensor
-        that does not fit.
-    OtherRobotError
-        Naming the differences between the robots.
+    Parameters and errors are those of `read_model`; InvalidInputError also names the tensor that does not fit.
     """
-    description = read_description(folder, Checkpoint.architecture, robot)
-    config = from_plain(ModelConfig, description.model, "model", complete=True)
-    dictionary = load_part(folder, description, "dictionary", lambda: Dictionary(config))
-    sequence_model = None
-    if "sequence_model" in description.sha256:
-        sequence_model = load_part(
-            folder, description, "sequence_model", lambda: build_sequence_model(config)
-        )
-    return Checkpoint(config, description.robot, dictionary, sequence_model, description.metadata)
+    return as_modules(read_model(folder, robot, VQ_MPT))
 
 
-_LOADERS: dict[str, Callable[[Path, RobotSignature | None], Trained]] = {
-    Checkpoint.architecture: load_checkpoint,
-    MPNetCheckpoint.architecture: load_mpnet,
-}
-
-
-def load_any(folder: Path) -> Trained:
-    """Read a checkpoint of whatever architecture its folder names; errors as in `load_checkpoint`."""
-    architecture = read_description(folder).architecture
-    if architecture not in _LOADERS:
-        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", architecture, _LOADERS)
-    return _LOADERS[architecture](folder, None)
+def as_modules(model: StoredModel) -> Checkpoint:
+    """VQ-MPT's weights in torch modules, in evaluation mode; raises InvalidInputError where they do not fit."""
+    config = model.config
+    builders = {
+        "dictionary": lambda: Dictionary(config),
+        "sequence_model": lambda: build_sequence_model(config),
+    }
+    modules: dict[str, Any] = {
+        name: filled(builders[name], {key: torch.from_numpy(a) for key, a in arrays.items()}, name)
+        for name, arrays in model.parts.items()
+    }
+    return Checkpoint(config, model.robot, metadata=model.metadata, **modules)

@@ -13,6 +13,8 @@ from cvqmpt_lab.errors import InvalidInputError
 LARGEST = 1 << 16
 """Of any size; a larger one is a slip of the pen."""
 MOST_LAYERS = 64
+EPSILON = 1e-6
+"""Of the layer norms of attention and feed-forward blocks, and of the dictionary."""
 
 
 def require_sizes(**sizes: int | tuple[int, ...] | None) -> None:
@@ -224,3 +226,32 @@ class ModelConfig:
                 connectivity_head=feature_dim > 0,
             ),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MPNetConfig:
+    """Sizes of MPNet; defaults are those of the published 7-joint model."""
+
+    joint_dim: int = 7
+    n_points: int = 4120
+    """Points of a cloud, drawn at random from what there is."""
+    encoder_widths: tuple[int, ...] = (786, 512, 256)
+    """Hidden layers of the cloud encoder."""
+    code_dim: int = 60
+    """Of an encoded cloud."""
+    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
+    """Hidden layers of the planner."""
+    dropout: float = 0.5
+    """Probability to drop a unit, after every hidden layer of the planner but the last."""
+
+    def __post_init__(self) -> None:
+        require_sizes(
+            joint_dim=self.joint_dim,
+            n_points=self.n_points,
+            code_dim=self.code_dim,
+            encoder_widths=self.encoder_widths,
+            planner_widths=self.planner_widths,
+        )
+        require_probability("dropout", self.dropout)
+        if not self.encoder_widths or not self.planner_widths:
+            raise InvalidInputError("encoder_widths and planner_widths need a layer each")

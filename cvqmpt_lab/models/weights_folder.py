@@ -8,27 +8,24 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import safetensors.torch
+import numpy as np
+import safetensors.numpy
 from safetensors import SafetensorError
-from torch import Tensor, nn
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file, write_bytes
 from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.tensors import filled, require_finite
 
 FORMAT = "cvqmpt-model-1"
 CONFIG_FILE = "config.json"
 TRAINED_FOLDER = "model"
 """Where in its folder a training leaves its best weights."""
-
-Part = TypeVar("Part", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,7 @@ def write_weights(
     model: Mapping[str, Any],
     robot: RobotSignature,
     metadata: Mapping[str, Any],
-    parts: Mapping[str, nn.Module],
+    parts: Mapping[str, Mapping[str, np.ndarray]],
 ) -> None:
     """Write a folder, replacing an earlier one at once or not at all; see `Description`.
 
@@ -67,7 +64,7 @@ def write_weights(
     try:
         shutil.rmtree(beside, ignore_errors=True)  # of a killed process that had this number
         beside.mkdir(parents=True)
-        hashes = {name: _write_part(beside, name, module) for name, module in parts.items()}
+        hashes = {name: _write_part(beside, name, arrays) for name, arrays in parts.items()}
         description = {
             "format": FORMAT,
             "architecture": architecture,
@@ -86,11 +83,12 @@ def write_weights(
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _write_part(folder: Path, name: str, module: nn.Module) -> str:
-    """Write one part's tensors and return the sha256 of the file."""
-    tensors = {key: tensor.detach().cpu().contiguous() for key, tensor in module.state_dict().items()}
-    require_finite(tensors, name)
-    data = safetensors.torch.save(tensors)
+def _write_part(folder: Path, name: str, arrays: Mapping[str, np.ndarray]) -> str:
+    """Write one part's arrays and return the sha256 of the file."""
+    for key, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise InvalidInputError(f"cannot write {name}: {key} has NaN or infinite values")
+    data = safetensors.numpy.save({key: np.asarray(array, order="C") for key, array in arrays.items()})
     write_bytes(folder / f"{name}.safetensors", data)
     return hashlib.sha256(data).hexdigest()
 
@@ -145,23 +143,19 @@ def read_description(
     )
 
 
-def load_part(folder: Path, description: Description, name: str, build: Callable[[], Part]) -> Part:
-    """Make a module and fill it with the weights of its part, in evaluation mode.
+def read_part(folder: Path, description: Description, name: str) -> dict[str, np.ndarray]:
+    """The arrays of a part.
 
     Raises
     ------
     InvalidInputError
-        When the part is not listed, its file is missing or damaged, or does not fit the module.
+        When the part is not listed, or its file is missing or damaged.
     """
     path = Path(folder) / f"{name}.safetensors"
     expected = description.sha256.get(name)
     if expected is None:
         listed = ", ".join(description.sha256) or "nothing"
         raise InvalidInputError(f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}")
-    return filled(build, _read_weights(path, expected), str(path))
-
-
-def _read_weights(path: Path, expected: str) -> dict[str, Tensor]:
     data = read_bytes(require_regular_file(path, "weights"), "weights")
     found = hashlib.sha256(data).hexdigest()
     if found != expected:
@@ -169,9 +163,9 @@ def _read_weights(path: Path, expected: str) -> dict[str, Tensor]:
             f"{path} is damaged: sha256 {found[:12]}..., {CONFIG_FILE} says {str(expected)[:12]}...; fetch it again"
         )
     try:
-        return safetensors.torch.load(data)
-    except SafetensorError as error:
-        raise InvalidInputError(f"{path} is not a safetensors file: {error}") from error
+        return safetensors.numpy.load(data)
+    except (SafetensorError, KeyError) as error:  # a key: a kind of number that numpy has not
+        raise InvalidInputError(f"{path} is not a safetensors file that can be used: {error}") from error
 
 
 def weights_digest(folder: Path) -> str:

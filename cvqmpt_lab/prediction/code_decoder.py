@@ -5,12 +5,11 @@ it computes, and the latent optimizer needs many; tests compare values and gradi
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.published.attention import EPSILON
+from cvqmpt_lab.models.config import EPSILON
+from cvqmpt_lab.models.stored import StoredModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +52,32 @@ class CodeGaussians:
 
 
 class CodeDecoder:
-    """A snapshot of a dictionary's decoder; make it anew when the weights change.
+    """A dictionary's decoder.
 
     The map from codes to the decoder's width is folded into what follows it, the layer norm's centring,
     scale and shift into what stands around it.
     """
 
-    def __init__(self, dictionary: Dictionary, dtype: type = np.float32) -> None:
-        def weights(layer: Any) -> tuple[np.ndarray, np.ndarray]:
-            return layer.weight.detach().cpu().double().numpy(), layer.bias.detach().cpu().double().numpy()
+    def __init__(self, model: StoredModel, dtype: type = np.float32) -> None:
+        sizes, n, tensors = model.config.dictionary, model.config.joint_dim, model.part("dictionary")
+        d, inner, z = sizes.transformer.d_model, sizes.transformer.d_inner, sizes.code_dim
+
+        def weights(name: str, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
+            return tensors(f"{name}.weight", after, before), tensors(f"{name}.bias", after)
 
         def as_used(array: np.ndarray) -> np.ndarray:
             return np.ascontiguousarray(array, dtype=dtype)
 
-        decoder = dictionary.decoder
-        w_out, b_out = weights(dictionary.quantizer.output_linear_map)
-        w_1, b_1 = weights(decoder.pos_ffn.w_1)
-        w_2, b_2 = weights(decoder.pos_ffn.w_2)
-        gain, offset = weights(decoder.pos_ffn.layer_norm)
-        heads = [weights(head[0]) for head in (decoder.mu, decoder.diag, decoder.l)]
+        w_out, b_out = weights("quantizer.output_linear_map", z, d)
+        w_1, b_1 = weights("decoder.pos_ffn.w_1", d, inner)
+        w_2, b_2 = weights("decoder.pos_ffn.w_2", inner, d)
+        gain, offset = (tensors(f"decoder.pos_ffn.layer_norm.{name}", d) for name in ("weight", "bias"))
+        below = n * (n - 1) // 2
+        heads = [
+            weights(f"decoder.{name}.0", d, size) for name, size in (("mu", n), ("diag", n), ("l", below))
+        ]
         head_w, head_b = (np.concatenate(parts) for parts in zip(*heads, strict=True))
-        self.n = len(heads[0][1])
+        self.n = n
         self.dtype = dtype
         self._inner, self._inner_bias = as_used(w_1 @ w_out), as_used(w_1 @ b_out + b_1)
         self._direct = as_used(w_out - w_out.mean(axis=0))
@@ -81,7 +85,7 @@ class CodeDecoder:
         bias = b_out + b_2
         self._bias = as_used(bias - bias.mean())
         self._heads, self._heads_bias = as_used(head_w * gain), as_used(head_b + head_w @ offset)
-        self._rows, self._columns = decoder.l_index.cpu().numpy()
+        self._rows, self._columns = np.tril_indices(n, -1)
 
     def decode(self, z: np.ndarray, refinement: Refinement | None = None) -> CodeGaussians:
         """Gaussians of code vectors z (c, code_dim); refined ones keep their width when z moves."""

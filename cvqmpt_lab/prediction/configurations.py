@@ -5,9 +5,9 @@ import numpy as np
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
-from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.models.serial_chain import SerialChain
+from cvqmpt_lab.models.stored import StoredModel
 from cvqmpt_lab.robot.robot import Robot
 
 CHAIN_TOLERANCE = 1e-4
@@ -21,28 +21,28 @@ def robot_signature(robot: Robot) -> RobotSignature:
 
 
 class ModelConfigurations:
-    """Joints of a robot to what a checkpoint takes, and back.
+    """Joints of a robot to what a model takes, and back.
 
-    Which points of which links are features is read from the checkpoint's metadata, where training put
+    Which points of which links are features is read from the model's metadata, where training put
     them; where they are comes from the robot's own kinematics.
     """
 
-    def __init__(self, checkpoint: Checkpoint, robot: Robot) -> None:
+    def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Prepare.
 
         Raises
         ------
         InvalidInputError
-            When the checkpoint belongs to another robot, or its features were made with other kinematics
+            When the model belongs to another robot, or its features were made with other kinematics
             or are not described.
         """
-        checkpoint.robot.require_same(robot_signature(robot))
+        model.robot.require_same(robot_signature(robot))
         self._robot = robot
         self.lower, self.range = robot.lower, robot.upper - robot.lower
         self._links = np.empty(0, dtype=np.int64)
         self._offsets = np.empty((0, 3))
-        if checkpoint.config.feature_dim:
-            chain = _chain(checkpoint, robot)
+        if model.config.feature_dim:
+            chain = _chain(model, robot)
             self._links = np.array(chain.points) + 1  # pose row 0 is the world
             self._offsets = chain.offsets
 
@@ -64,19 +64,19 @@ class ModelConfigurations:
         return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def _chain(checkpoint: Checkpoint, robot: Robot) -> SerialChain:
+def _chain(model: StoredModel, robot: Robot) -> SerialChain:
     """The chain whose points are features, which must be the robot's."""
-    data = checkpoint.metadata.get("kinematics")
+    data = model.metadata.get("kinematics")
     if data is None:
         raise InvalidInputError(
-            f"the model takes {checkpoint.config.feature_dim} link features, but its metadata has no kinematics; "
+            f"the model takes {model.config.feature_dim} link features, but its metadata has no kinematics; "
             "train it again"
         )
     chain = from_plain(SerialChain, data, "model metadata, kinematics")
-    if (len(chain.rotation), chain.feature_dim) != (robot.dof, checkpoint.config.feature_dim):
+    if (len(chain.rotation), chain.feature_dim) != (robot.dof, model.config.feature_dim):
         raise InvalidInputError(
             f"model metadata, kinematics: {len(chain.rotation)} joints and {chain.feature_dim} features; the model "
-            f"has {robot.dof} and {checkpoint.config.feature_dim}"
+            f"has {robot.dof} and {model.config.feature_dim}"
         )
     kinematics = robot.kinematics
     if not np.array_equal(kinematics.parent, np.arange(robot.dof)):

@@ -1,27 +1,31 @@
 """The dictionary itself, in radians: a Gaussian for every code, and the codes of given configurations."""
 
 import numpy as np
-import torch
 
-from cvqmpt_lab.models.checkpoint import Checkpoint
+from cvqmpt_lab.errors import require_torch
+from cvqmpt_lab.models.stored import StoredModel
+from cvqmpt_lab.prediction.code_decoder import CodeDecoder
+from cvqmpt_lab.prediction.code_encoder import CodeEncoder, code_vectors
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.robot.robot import Robot
 
 
-@torch.inference_mode()
-def dictionary_gaussians(checkpoint: Checkpoint, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def dictionary_gaussians(model: StoredModel, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Means (codes, n) [rad] and covariances (codes, n, n) [rad^2] of every code, as the decoder gives them."""
-    model = ModelConfigurations(checkpoint, robot)
-    gaussians = checkpoint.dictionary.code_gaussians()
-    means = model.radians(gaussians.mean.numpy().astype(float))
-    return means, gaussians.covariance.numpy().astype(float) * np.outer(model.range, model.range)
+    of = ModelConfigurations(model, robot)
+    gaussians = CodeDecoder(model, np.float64).decode(code_vectors(model))
+    return of.radians(gaussians.mean), gaussians.covariance * np.outer(of.range, of.range)
 
 
-@torch.inference_mode()
-def codes_of(checkpoint: Checkpoint, robot: Robot, configurations: np.ndarray) -> np.ndarray:
+def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np.ndarray:
     """Code (b,) int64 of each configuration (b, n) [rad] of one path."""
-    ends = torch.from_numpy(ModelConfigurations(checkpoint, robot).of(configurations))
-    return checkpoint.dictionary.encode(ends[None])[0].numpy()
+    given = ModelConfigurations(model, robot).of(configurations)
+    if model.config.dictionary.encoder == "mlp":
+        return CodeEncoder.of(model)(given)
+    require_torch("a dictionary whose encoder looks at whole trajectories")
+    from cvqmpt_lab.prediction.published_network import trajectory_codes
+
+    return trajectory_codes(model, given)
 
 
 def drawn_nodes(

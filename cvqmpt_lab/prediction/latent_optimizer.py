@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.optimize import minimize
 
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -207,6 +206,8 @@ def _descend(problem: _Problem, settings: LatentSettings) -> tuple[np.ndarray, n
 
 def _slsqp(problem: _Problem, settings: LatentSettings) -> tuple[np.ndarray, np.ndarray]:
     """The same by scipy's SLSQP; a code whose solve fails stays."""
+    from scipy.optimize import minimize  # half a second to import, for a method that is seldom chosen
+
     z = problem.z0.copy()
     steps = np.zeros(len(z), dtype=np.int64)
     for code in range(len(z)):

@@ -3,21 +3,21 @@
 import hashlib
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
-import torch
 
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.compact.inference import CompactInference
-from cvqmpt_lab.models.compact.sequence_model import CompactScene, CompactSequenceModel
+from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.models.decoding.beam_search import CodeSequence, beam_search, sample_sequences
 from cvqmpt_lab.models.decoding.step_decoder import StepDecoder
-from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
-from cvqmpt_lab.models.published.sequence_model import PublishedScene, PublishedSequenceModel
+from cvqmpt_lab.models.stored import StoredModel
+from cvqmpt_lab.prediction.cloud_encoder import checked_cloud
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
+from cvqmpt_lab.prediction.code_encoder import code_vectors
+from cvqmpt_lab.prediction.compact_network import CompactNetwork
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.prediction.prediction import CodeUnion, Prediction
 from cvqmpt_lab.prediction.settings import PredictorSettings
@@ -33,40 +33,64 @@ SMALLEST_STD = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
-    """A cloud as the model sees it."""
+    """A cloud as the network sees it."""
 
-    scene: CompactScene | PublishedScene
+    scene: Any
+    """What the network's `encode_scene` gave."""
     cached: bool
     """Whether it was encoded before."""
     seconds: float
     """What encoding took this time."""
 
 
+class SequenceNetwork(Protocol):
+    """A sequence model as prediction uses it; starts, goals: (q, configuration_dim) float32."""
+
+    def encode_scene(self, points: np.ndarray) -> Any:
+        """A cloud (m, 3) float32 [m] as its other methods take it."""
+
+    def decoder(self, scene: Any, starts: np.ndarray, goals: np.ndarray) -> StepDecoder:
+        """What a search of code sequences asks."""
+
+    def refinement(
+        self, scene: Any, starts: np.ndarray, goals: np.ndarray, union: CodeUnion
+    ) -> Refinement | None:
+        """Shift and width of each code's Gaussian; None from models that have no such head."""
+
+
+def _published(model: StoredModel) -> SequenceNetwork:
+    require_torch("a model of kind 'published'")
+    from cvqmpt_lab.prediction.published_network import PublishedNetwork
+
+    return PublishedNetwork(model)
+
+
+NETWORKS: dict[str, Callable[[StoredModel], SequenceNetwork]] = {
+    "compact": CompactNetwork,
+    "published": _published,
+}
+"""By `ModelConfig.kind`."""
+
+
 class Predictor:
     """A trained VQ-MPT model at work for one robot, on the CPU."""
 
-    def __init__(
-        self, checkpoint: Checkpoint, robot: Robot, settings: PredictorSettings | None = None
-    ) -> None:
-        """Take a snapshot of the checkpoint's weights; load it with `models.checkpoint.load_checkpoint`.
+    def __init__(self, model: StoredModel, robot: Robot, settings: PredictorSettings | None = None) -> None:
+        """Take over a model's weights; `prediction.weights.load_vq_mpt` reads them.
 
         Raises
         ------
         InvalidInputError
-            When it has no sequence model, belongs to another robot, or its link features do.
+            When it has no sequence model, belongs to another robot, its link features do, or its weights do not
+            fit its configuration.
         """
-        if checkpoint.sequence_model is None:
-            raise InvalidInputError("the checkpoint is a dictionary alone; train stage2 for a sequence model")
+        model.part("sequence_model")
         self.settings = PredictorSettings() if settings is None else settings
-        self.checkpoint, self.robot = checkpoint, robot
-        self.configurations = ModelConfigurations(checkpoint, robot)
-        self.decoder = CodeDecoder(checkpoint.dictionary)
-        self._vectors = checkpoint.dictionary.quantizer.embedding.weight.detach().cpu().numpy().copy()
-        self._model = checkpoint.sequence_model
-        self._inference: CompactInference | None = None
-        if isinstance(self._model, CompactSequenceModel):
-            self._inference = CompactInference(self._model, checkpoint.dictionary)
-        self._scenes: OrderedDict[str, CompactScene | PublishedScene] = OrderedDict()
+        self.robot, self.configurations = robot, ModelConfigurations(model, robot)
+        self.decoder, self.vectors = CodeDecoder(model), code_vectors(model)
+        self._network = NETWORKS[model.config.kind](model)
+        self._length = self.settings.max_length or model.config.sequence.max_length
+        self._scenes: OrderedDict[str, Any] = OrderedDict()
 
     def encode_scene(self, cloud: np.ndarray) -> EncodedScene:
         """Encode a cloud (m, 3) [m, robot base frame], or find it among the latest ones.
@@ -74,22 +98,20 @@ class Predictor:
         Raises
         ------
         InvalidInputError
-            For fewer than two points, another shape, NaN, or an extent that cannot be metres.
+            For a cloud that `checked_cloud` refuses.
         """
         began = time.perf_counter()
-        points = _checked_cloud(cloud)
+        points = checked_cloud(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
         cached = key in self._scenes
         if cached:
             self._scenes.move_to_end(key)
         else:
-            with torch.inference_mode():
-                self._scenes[key] = self._model.encode_scene([torch.from_numpy(points)])
+            self._scenes[key] = self._network.encode_scene(points)
             if len(self._scenes) > self.settings.scenes:
                 self._scenes.popitem(last=False)
         return EncodedScene(self._scenes[key], cached, time.perf_counter() - began)
 
-    @torch.inference_mode()
     def predict(
         self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, rng: np.random.Generator
     ) -> Prediction:
@@ -105,12 +127,12 @@ class Predictor:
         start, goals = self._checked(start, goals)
         encoded = self.encode_scene(cloud)
         began = time.perf_counter()
-        ends = torch.from_numpy(self.configurations.of(np.vstack((start[None], goals))))
-        starts, ends = ends[:1].expand(len(goals), -1), ends[1:]
-        sequences = self._decode(self._step_decoder(encoded.scene, starts, ends), rng)
+        ends = self.configurations.of(np.vstack((start[None], goals)))
+        starts, ends = ends[:1].repeat(len(goals), axis=0), ends[1:]
+        sequences = self._decode(self._network.decoder(encoded.scene, starts, ends), rng)
         union = CodeUnion.of(sequences, self.settings.repeated_codes)
-        refinement = self._refinement(encoded.scene, starts, ends, union)
-        z = self._vectors[union.codes]
+        refinement = self._network.refinement(encoded.scene, starts, ends, union)
+        z = self.vectors[union.codes]
         gaussians = self.decoder.decode(z, refinement)
         mean, covariance = gaussians.mean.astype(np.float64), gaussians.covariance
         span = self.configurations.range
@@ -157,18 +179,8 @@ class Predictor:
         uniform = Uniform(self.robot.lower, self.robot.upper)
         return GaussianMixture.equal(means, covariances, uniform, settings.uniform_share, settings.name)
 
-    def _step_decoder(
-        self, scene: CompactScene | PublishedScene, starts: torch.Tensor, goals: torch.Tensor
-    ) -> StepDecoder:
-        if self._inference is not None:
-            assert isinstance(scene, CompactScene)
-            return self._inference.decoder(scene, starts, goals)
-        assert isinstance(self._model, PublishedSequenceModel) and isinstance(scene, PublishedScene)
-        return self._model.decoder(self.checkpoint.dictionary, scene, starts, goals)
-
     def _decode(self, decoder: StepDecoder, rng: np.random.Generator) -> tuple[tuple[CodeSequence, ...], ...]:
-        settings = self.settings
-        length = settings.max_length or self.checkpoint.config.sequence.max_length
+        settings, length = self.settings, self._length
         if settings.decoding == "beam":
             found = beam_search(decoder, beams=settings.beams, max_length=length, scoring=settings.scoring)
             return tuple((one,) for one in found)
@@ -177,32 +189,6 @@ class Predictor:
                 decoder, settings.sequences, rng, temperature=settings.temperature, max_length=length
             )
         )
-
-    def _refinement(
-        self,
-        scene: CompactScene | PublishedScene,
-        starts: torch.Tensor,
-        goals: torch.Tensor,
-        union: CodeUnion,
-    ) -> Refinement | None:
-        """Shift and width of each code's Gaussian at its place in the sequence it is taken from."""
-        model = self._model
-        if not isinstance(model, CompactSequenceModel) or model.refinement is None:
-            return None
-        assert isinstance(scene, CompactScene)
-        n = self.robot.dof
-        if len(union.codes) == 0:
-            return Refinement(np.empty((0, n), np.float32), np.empty((0, n), np.float32))
-        rows, padded = torch.from_numpy(union.goal_of_sequence), torch.from_numpy(union.padded)
-        dictionary = self.checkpoint.dictionary
-        end_codes = None
-        if model.config.sequence.start_goal_codes:
-            both = torch.stack((starts, goals), 1).flatten(0, 1)
-            end_codes = dictionary.encode(both[:, None]).view(-1, 2)[rows]
-        output = model(scene, starts[rows], goals[rows], padded, end_codes)
-        states = output.states[torch.from_numpy(union.sequence), torch.from_numpy(union.place)]
-        gaussians = model.refinement(states, torch.zeros(len(states), n))
-        return Refinement(gaussians.mean.numpy(), gaussians.diagonal.sqrt().numpy())
 
     def _checked(self, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start (n,) and goals (k, n) as float64."""
@@ -230,15 +216,6 @@ def _numbers(value: np.ndarray, name: str) -> np.ndarray:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{name} must be numbers: {error}") from error
-
-
-def _checked_cloud(cloud: np.ndarray) -> np.ndarray:
-    """The cloud (m, 3) as contiguous float32."""
-    points = np.array(_numbers(cloud, "point cloud"))  # torch wants arrays that may be written to
-    if points.ndim != 2:
-        raise InvalidInputError(f"point cloud of shape {points.shape}; it must be (n, 3) [m]")
-    require_point_cloud(torch.from_numpy(points))
-    return np.ascontiguousarray(points, dtype=np.float32)
 
 
 def _widened(covariances: np.ndarray, std: float) -> np.ndarray:

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import cvqmpt_lab
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.mpnet.network import MPNetCheckpoint
 from cvqmpt_lab.models.robot_signature import OtherRobotError, RobotSignature
+from cvqmpt_lab.models.stored import MPNET, VQ_MPT, StoredModel, read_model
 from cvqmpt_lab.models.weights_folder import checkpoint_folder, read_description
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.robot.robot import Robot
 
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
-SHIPPED = {"vq_mpt": Checkpoint.architecture, "mpnet": MPNetCheckpoint.architecture}
+SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
 """Names of the weights that come with the package, and their architectures."""
 
 
@@ -51,9 +50,9 @@ def resolve_model(
     return folder
 
 
-def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> Checkpoint:
-    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `load_checkpoint`."""
-    return load_checkpoint(resolve_model(model, Checkpoint.architecture, robot), robot_signature(robot))
+def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> StoredModel:
+    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `read_model`."""
+    return read_model(resolve_model(model, VQ_MPT, robot), robot_signature(robot), VQ_MPT)
 
 
 @lru_cache(maxsize=8)

@@ -7,7 +7,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
+from cvqmpt_lab.models.checkpoint import MPNetCheckpoint
+from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.mpnet.network import MPNet
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.scene_batches import SceneBatchSettings

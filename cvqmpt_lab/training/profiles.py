@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models import config as sizes
-from cvqmpt_lab.models.mpnet.network import MPNetConfig
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.mpnet import MPNetSettings
 from cvqmpt_lab.training.optimizer import OptimizerSettings
@@ -23,7 +22,7 @@ class Profile:
     """The model takes link positions, as many as the dataset's kinematics give."""
     model: sizes.ModelConfig
     """Sizes; joints and features are the dataset's (`model_for`)."""
-    mpnet_model: MPNetConfig
+    mpnet_model: sizes.MPNetConfig
     stage1: Stage1Settings
     stage2: Stage2Settings
     mpnet: MPNetSettings
@@ -54,7 +53,7 @@ class Profile:
         )
         return replace(self.model, joint_dim=dataset.joint_dim, feature_dim=feature_dim, sequence=sequence)
 
-    def mpnet_model_for(self, dataset: PathDataset) -> MPNetConfig:
+    def mpnet_model_for(self, dataset: PathDataset) -> sizes.MPNetConfig:
         """The network for a dataset."""
         return replace(self.mpnet_model, joint_dim=dataset.joint_dim)
 
@@ -67,7 +66,9 @@ def _compact() -> Profile:
         name="compact",
         link_features=True,
         model=sizes.ModelConfig.compact(feature_dim=3, n_codes=1024),
-        mpnet_model=MPNetConfig(n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3),
+        mpnet_model=sizes.MPNetConfig(
+            n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3
+        ),
         stage1=Stage1Settings(
             epochs=10,
             batch=64,
@@ -122,7 +123,7 @@ def _smoke() -> Profile:
         name="smoke",
         link_features=True,
         model=model,
-        mpnet_model=MPNetConfig(
+        mpnet_model=sizes.MPNetConfig(
             n_points=256, encoder_widths=(128, 64), code_dim=28, planner_widths=(256, 128, 64), dropout=0.2
         ),
         stage1=replace(
@@ -148,7 +149,7 @@ def _published() -> Profile:
         name="published",
         link_features=False,
         model=sizes.ModelConfig(),
-        mpnet_model=MPNetConfig(),
+        mpnet_model=sizes.MPNetConfig(),
         stage1=Stage1Settings(
             epochs=50, batch=64, optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000)
         ),

@@ -11,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import Checkpoint
+from cvqmpt_lab.models.stored import StoredModel
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings, Optimized
 from cvqmpt_lab.prediction.prediction import Prediction
@@ -86,9 +86,7 @@ class LatentUpdate:
         return {name: int(order[round(rank * (len(order) - 1))]) for name, rank in RANKS.items()}
 
 
-def update_latents(
-    problem: PlanningProblem, checkpoint: Checkpoint, settings: UpdateSettings
-) -> LatentUpdate:
+def update_latents(problem: PlanningProblem, model: StoredModel, settings: UpdateSettings) -> LatentUpdate:
     """Look at the scene, predict, update, draw.
 
     Raises
@@ -101,7 +99,7 @@ def update_latents(
         raise InvalidInputError(f"problem {problem.name}: no goal was found; choose another")
     seen, predicted, moved, drawn = map(np.random.default_rng, np.random.SeedSequence(settings.seed).spawn(4))
     cloud = camera_cloud(problem.scene, settings.cameras, seen)
-    predictor = Predictor(checkpoint, problem.robot, settings.predictor)
+    predictor = Predictor(model, problem.robot, settings.predictor)
     prediction = predictor.predict(cloud, problem.start, problem.goals, predicted)
     if len(prediction.codes) < len(RANKS):
         raise InvalidInputError(

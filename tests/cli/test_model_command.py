@@ -16,8 +16,9 @@ from small_models import random_checkpoint
 from cli.main import main
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
-from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
+from cvqmpt_lab.models.checkpoint import MPNetCheckpoint, load_checkpoint, save_checkpoint, stored
+from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.mpnet.network import MPNet
 from cvqmpt_lab.models.robot_signature import OtherRobotError
 from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.prediction import weights
@@ -48,7 +49,7 @@ def test_info_tells_what_is_in_a_folder(panda, tmp_path, capsys):
     for name, module in checkpoint.parts.items():
         part = found["parts"][f"{name}.safetensors"]
         assert part["bytes"] == (folder / f"{name}.safetensors").stat().st_size
-        assert part["parameters"] == sum(p.numel() for p in module.parameters())
+        assert part["numbers"] == sum(tensor.numel() for tensor in module.state_dict().values())
         assert part["sha256"] == listed[name]
     assert found["model"] == to_plain(checkpoint.config, complete=True) and found["metadata"] == metadata
 
@@ -83,7 +84,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
         assert torch.equal(tensor, source[name])
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
-    predictor = Predictor(checkpoint, panda, PredictorSettings(decoding="beam", max_length=5))
+    predictor = Predictor(stored(checkpoint), panda, PredictorSettings(decoding="beam", max_length=5))
     prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:], rng)
     assert len(prediction.sequences[0][0].codes) > 0
     again = refused(capsys, "model", *words[1:])

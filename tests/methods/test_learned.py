@@ -15,7 +15,7 @@ from cvqmpt_lab.planning.proposal import Observation
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.prediction.collision_head import free_probability
+from cvqmpt_lab.prediction.collision_head import CollisionHead
 from cvqmpt_lab.prediction.weights import load_vq_mpt
 from experiments.rows import path_hash
 from experiments.suites.place_task import place_problem
@@ -61,15 +61,16 @@ def test_the_head_sees_the_scene(problem, roadmap):
     """Its verdict agrees with exact checks more often than not, and another cloud changes it."""
     space, nodes = ConstrainedSpace(problem), roadmap.nodes
     free = space.valid_batch(nodes)
-    cloud, checkpoint = Observer()(problem), load_vq_mpt(problem.robot)
-    belief = free_probability(checkpoint, problem.robot, cloud, nodes)
+    cloud, model = Observer()(problem), load_vq_mpt(problem.robot)
+    head = CollisionHead(model, problem.robot)
+    belief = head.free_probability(cloud, nodes)
     assert belief[free].mean() > belief[~free].mean() + 0.15
     blocked = believed_blocked(PLANNERS["roadmap-cvq"].weights, roadmap)
     np.testing.assert_array_equal(blocked(query_of(problem), Observation(cloud)), belief < 0.5)
-    elsewhere = free_probability(checkpoint, problem.robot, cloud + [0.0, 0.0, 2.0], nodes)
+    elsewhere = head.free_probability(cloud + [0.0, 0.0, 2.0], nodes)
     assert np.abs(elsewhere - belief).max() > 0.2
     with pytest.raises(InvalidInputError, match="no collision head"):
-        free_probability(replace(checkpoint, sequence_model=None), problem.robot, cloud, nodes)
+        CollisionHead(replace(model, parts={"dictionary": model.parts["dictionary"]}), problem.robot)
 
 
 def test_the_update_moves_dictionary_codes_to_the_manifold(problem, roadmap):

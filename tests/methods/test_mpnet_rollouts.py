@@ -12,13 +12,16 @@ from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts, MPNetSettings
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.methods.table import PLANNERS
-from cvqmpt_lab.models.mpnet.inference import MPNetInference
-from cvqmpt_lab.models.mpnet.network import MPNet, MPNetCheckpoint, MPNetConfig
+from cvqmpt_lab.models.checkpoint import MPNetCheckpoint, stored
+from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.mpnet.network import MPNet
+from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.prediction.configurations import robot_signature
+from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.kitchen import kitchen
 from experiments.rows import Run, path_hash, result_row
@@ -37,6 +40,12 @@ def tuning():
 def random_network(config=CONFIG):
     torch.manual_seed(0)
     return MPNet(config).eval()
+
+
+def ready(network):
+    """The network in numpy."""
+    robot = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
+    return MPNetNetwork(stored(MPNetCheckpoint(robot, network)))
 
 
 def heading_network(share=0.5):
@@ -77,7 +86,7 @@ def mpnet_of(robot, network=None, observe=cloud_of, **settings):
     """A method whose rollouts are those of a network."""
     checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
     return Method.simple(
-        "mpnet", predict=MPNetRollouts(checkpoint, MPNetSettings(**settings)), observe=observe
+        "mpnet", predict=MPNetRollouts(stored(checkpoint), MPNetSettings(**settings)), observe=observe
     )
 
 
@@ -91,7 +100,7 @@ def plan(problem, method, budget=ENOUGH, seed=0):
 
 def test_it_computes_what_the_torch_network_does():
     network = random_network()
-    inference = MPNetInference(network)
+    inference = ready(network)
     rng = np.random.default_rng(0)
     points, current, goal = rng.normal(size=(16, 3)), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
     code = inference.encode(points)
@@ -104,7 +113,7 @@ def test_it_computes_what_the_torch_network_does():
 
 
 def test_dropout_has_the_mean_of_the_network_without_it():
-    inference = MPNetInference(heading_network())
+    inference = ready(heading_network())
     rng = np.random.default_rng(0)
     current, goal = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
     proposals = np.array([inference.propose(current, goal, np.zeros(4), rng) for _ in range(4000)])
@@ -115,7 +124,7 @@ def test_dropout_has_the_mean_of_the_network_without_it():
 
 
 def test_points_are_drawn_without_replacement_while_they_last():
-    inference = MPNetInference(random_network())
+    inference = ready(random_network())
     cloud = np.arange(60.0).reshape(20, 3) * 0.1
     drawn = inference.draw_points(cloud, np.random.default_rng(0))
     assert drawn.shape == (16, 3) and len(np.unique(drawn[:, 0])) == 16

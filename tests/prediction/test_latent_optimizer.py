@@ -10,6 +10,7 @@ from small_models import random_checkpoint, small_config
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.models.checkpoint import stored
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
 from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.predictor import Predictor
@@ -58,7 +59,7 @@ def predictor(request, panda, checkpoint):
     if not request.param:
         other = random_checkpoint(panda, config)
         checkpoint = replace(other, dictionary=checkpoint.dictionary)
-    return Predictor(checkpoint, panda, PredictorSettings(decoding="sampled"))
+    return Predictor(stored(checkpoint), panda, PredictorSettings(decoding="sampled"))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +104,7 @@ def test_values_are_those_of_torch_and_precision_matters_little(
     z, noise = unit_codes(25), np.random.default_rng(1).standard_normal((10, 7))
     refined = refinement(25, refined)
     objective, exact = (
-        LatentObjective(CodeDecoder(dictionary, kind), panda.lower, panda.upper - panda.lower)
+        LatentObjective(CodeDecoder(stored(checkpoint), kind), panda.lower, panda.upper - panda.lower)
         for kind in (dtype, np.float64)
     )
     value, gradient = objective.value_and_gradient(z, refined, constraint, noise)
@@ -116,7 +117,7 @@ def test_values_are_those_of_torch_and_precision_matters_little(
 
 @pytest.mark.parametrize("refined", [False, True])
 def test_gradients_are_those_of_finite_differences(panda, checkpoint, constraint, refined):
-    decoder = CodeDecoder(checkpoint.dictionary, np.float64)
+    decoder = CodeDecoder(stored(checkpoint), np.float64)
     objective = LatentObjective(decoder, panda.lower, panda.upper - panda.lower)
     z, noise, h = unit_codes(12, 5), np.random.default_rng(1).standard_normal((8, 7)), 1e-6
     refined = refinement(12, refined)

@@ -11,6 +11,7 @@ from training_data import LOWER, UPPER, kinematics
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.models.checkpoint import stored
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
@@ -42,7 +43,7 @@ def predict(predictor, queries, seed=0):
 
 def test_configurations_are_those_of_training(panda, checkpoint):
     q = panda.random_configurations(np.random.default_rng(0), 300)
-    ours = ModelConfigurations(checkpoint, panda)
+    ours = ModelConfigurations(stored(checkpoint), panda)
     chain = from_plain(SerialChain, kinematics())
     links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
     u = ours.normalised(q)
@@ -51,7 +52,7 @@ def test_configurations_are_those_of_training(panda, checkpoint):
 
 
 def test_every_goal_has_the_distinct_codes_of_its_finished_sequences(panda, checkpoint, queries):
-    prediction = predict(Predictor(checkpoint, panda, SAMPLED), queries)
+    prediction = predict(Predictor(stored(checkpoint), panda, SAMPLED), queries)
     assert len(prediction.sequences) == 6 and {len(s) for s in prediction.sequences} == {8}
     assert any(len(one.codes) > 3 for one in prediction.sequences[0])
     for goal, found in enumerate(prediction.sequences):
@@ -68,7 +69,7 @@ def test_every_goal_has_the_distinct_codes_of_its_finished_sequences(panda, chec
 @torch.inference_mode()
 def test_gaussians_are_refined_where_their_code_stands(panda, checkpoint, queries):
     cloud, start, goals = queries
-    predictor = Predictor(checkpoint, panda, BEAM)
+    predictor = Predictor(stored(checkpoint), panda, BEAM)
     prediction = predict(predictor, queries)
     model, dictionary = checkpoint.sequence_model, checkpoint.dictionary
     scene = model.encode_scene([torch.from_numpy(cloud).float()])
@@ -96,7 +97,7 @@ def test_gaussians_are_refined_where_their_code_stands(panda, checkpoint, querie
 
 def test_goals_in_one_batch_are_predicted_as_alone(panda, checkpoint, queries):
     cloud, start, goals = queries
-    predictor = Predictor(checkpoint, panda, BEAM)
+    predictor = Predictor(stored(checkpoint), panda, BEAM)
     together = predict(predictor, queries)
     for goal in range(len(goals)):
         alone = predict(predictor, (cloud, start, goals[goal : goal + 1]))
@@ -106,9 +107,11 @@ def test_goals_in_one_batch_are_predicted_as_alone(panda, checkpoint, queries):
 
 @pytest.mark.parametrize("decoding", ["beam", "sampled"])
 def test_a_known_scene_changes_nothing_but_the_time(panda, checkpoint, queries, decoding):
-    predictor = Predictor(checkpoint, panda, dataclasses.replace(BEAM, decoding=decoding))
+    predictor = Predictor(stored(checkpoint), panda, dataclasses.replace(BEAM, decoding=decoding))
     first, again = predict(predictor, queries), predict(predictor, queries)
-    fresh = predict(Predictor(checkpoint, panda, dataclasses.replace(BEAM, decoding=decoding)), queries)
+    fresh = predict(
+        Predictor(stored(checkpoint), panda, dataclasses.replace(BEAM, decoding=decoding)), queries
+    )
     assert (first.cached, again.cached, fresh.cached) == (False, True, False)
     for name in ("codes", "goal_of", "z", "mean_u", "covariance_u", "means", "covariances"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name), strict=True)
@@ -117,7 +120,7 @@ def test_a_known_scene_changes_nothing_but_the_time(panda, checkpoint, queries, 
 
 
 def test_the_least_recently_used_scene_is_forgotten(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, dataclasses.replace(SAMPLED, scenes=2))
+    predictor = Predictor(stored(checkpoint), panda, dataclasses.replace(SAMPLED, scenes=2))
     clouds = [queries[0] + 0.1 * i for i in range(3)]
     assert [predictor.encode_scene(clouds[i]).cached for i in (0, 1, 0, 2, 0, 1)] == [
         False, False, True, False, True, False,
@@ -126,7 +129,7 @@ def test_the_least_recently_used_scene_is_forgotten(panda, checkpoint, queries):
 
 
 def test_samples_depend_on_the_seed_alone(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, SAMPLED)
+    predictor = Predictor(stored(checkpoint), panda, SAMPLED)
     one, same, other = (predict(predictor, queries, seed) for seed in (1, 1, 2))
     assert one.sequences == same.sequences != other.sequences
 
@@ -134,7 +137,7 @@ def test_samples_depend_on_the_seed_alone(panda, checkpoint, queries):
 @pytest.mark.parametrize("settings", [BEAM, dataclasses.replace(BEAM, scoring="published"), SAMPLED])
 def test_the_published_architecture_predicts_the_dictionary_s_gaussians(panda, queries, settings):
     checkpoint = random_checkpoint(panda, published_config(), goal_bias=6.0, metadata={})
-    prediction = predict(Predictor(checkpoint, panda, settings), queries)
+    prediction = predict(Predictor(stored(checkpoint), panda, settings), queries)
     assert prediction.refinement is None and len(prediction.codes) >= 6
     with torch.no_grad():
         expected = checkpoint.dictionary.code_gaussians(torch.from_numpy(prediction.codes))
@@ -143,7 +146,7 @@ def test_the_published_architecture_predicts_the_dictionary_s_gaussians(panda, q
 
 
 def test_the_mixture_is_the_union_the_goals_and_a_uniform_share(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, SAMPLED)
+    predictor = Predictor(stored(checkpoint), panda, SAMPLED)
     prediction = predict(predictor, queries)
     mixture = predictor.mixture(prediction)
     c, span = len(prediction.codes), panda.upper - panda.lower
@@ -156,19 +159,19 @@ def test_the_mixture_is_the_union_the_goals_and_a_uniform_share(panda, checkpoin
     assert mixture.uniform_share == 0.15
     np.testing.assert_array_equal(mixture.uniform.lower, panda.lower)
     plain = dataclasses.replace(predictor.settings, goal_gaussian=False, uniform_share=0.0, name="plain")
-    mixture = Predictor(checkpoint, panda, plain).mixture(prediction)
+    mixture = Predictor(stored(checkpoint), panda, plain).mixture(prediction)
     assert (len(mixture.weights), mixture.uniform_share, mixture.name) == (c, 0.0, "plain")
     draws = mixture.sample(np.random.default_rng(0), 20_000)
     np.testing.assert_allclose(draws.mean(0), prediction.means.mean(0), atol=0.1)
 
 
 def test_moved_codes_keep_their_refinement(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, SAMPLED)
+    predictor = Predictor(stored(checkpoint), panda, SAMPLED)
     prediction = predict(predictor, queries)
     z = np.roll(prediction.z, 1, axis=0)
     mixture = predictor.mixture(prediction, z)
     c, span = len(z), panda.upper - panda.lower
-    means = CodeDecoder(checkpoint.dictionary).decode(z).mean + prediction.refinement.shift
+    means = CodeDecoder(stored(checkpoint)).decode(z).mean + prediction.refinement.shift
     np.testing.assert_allclose(mixture.means[:c], panda.lower + span * means, atol=1e-5)
     np.testing.assert_allclose(mixture.covariances[:c], prediction.covariances)
     unmoved = predictor.mixture(prediction, prediction.z)
@@ -178,7 +181,7 @@ def test_moved_codes_keep_their_refinement(panda, checkpoint, queries):
 
 
 def test_gaussians_can_be_widened(panda, checkpoint, queries):
-    predictor = Predictor(checkpoint, panda, dataclasses.replace(SAMPLED, std_floor=0.5))
+    predictor = Predictor(stored(checkpoint), panda, dataclasses.replace(SAMPLED, std_floor=0.5))
     prediction = predict(predictor, queries)
     before = np.sqrt(np.linalg.eigvalsh(prediction.covariances))
     after = np.sqrt(np.linalg.eigvalsh(predictor.mixture(prediction).covariances))[: len(before)]
@@ -188,22 +191,22 @@ def test_gaussians_can_be_widened(panda, checkpoint, queries):
 
 def test_goals_that_are_never_reached_are_named(panda, queries):
     never = random_checkpoint(panda, goal_bias=-1e6)
-    predictor = Predictor(never, panda, SAMPLED)
+    predictor = Predictor(stored(never), panda, SAMPLED)
     prediction = predict(predictor, queries)
     assert prediction.unfinished == tuple(range(6)) and len(prediction.codes) == 0
     np.testing.assert_array_equal(predictor.mixture(prediction).means, queries[2])
     for settings in (dataclasses.replace(SAMPLED, goal_gaussian=False), AS_PUBLISHED):
-        assert isinstance(Predictor(never, panda, settings).mixture(prediction), Uniform)
+        assert isinstance(Predictor(stored(never), panda, settings).mixture(prediction), Uniform)
 
 
 def test_as_published_repeated_codes_count_as_often_as_they_occur(panda, checkpoint, queries):
     """Random weights repeat codes; the goal's Gaussian comes on top."""
-    predictor = Predictor(checkpoint, panda, AS_PUBLISHED)
+    predictor = Predictor(stored(checkpoint), panda, AS_PUBLISHED)
     prediction = predict(predictor, queries)
     finished = [one for found in prediction.sequences for one in found if one.finished]
     assert len(prediction.codes) == sum(len(one.codes) for one in finished)
     once = predict(
-        Predictor(checkpoint, panda, dataclasses.replace(AS_PUBLISHED, repeated_codes=False)), queries
+        Predictor(stored(checkpoint), panda, dataclasses.replace(AS_PUBLISHED, repeated_codes=False)), queries
     )
     assert len(once.codes) == sum(len(set(one.codes)) for one in finished) < len(prediction.codes)
     mixture = predictor.mixture(prediction)
@@ -212,7 +215,7 @@ def test_as_published_repeated_codes_count_as_often_as_they_occur(panda, checkpo
 
 def test_some_goals_unfinished(panda, checkpoint, queries):
     """Few tokens, so that some sequences end in time and others do not."""
-    predictor = Predictor(checkpoint, panda, dataclasses.replace(SAMPLED, max_length=6, sequences=2))
+    predictor = Predictor(stored(checkpoint), panda, dataclasses.replace(SAMPLED, max_length=6, sequences=2))
     prediction = predict(predictor, queries)
     lost = len(prediction.unfinished)
     assert 0 < lost < 6
@@ -244,7 +247,7 @@ CLOUD = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 3))
 def test_bad_input_is_one_line(panda, checkpoint, change, message):
     given = {"cloud": CLOUD, "start": HOME, "goals": [HOME]} | change
     with pytest.raises(InvalidInputError, match=message) as caught:
-        Predictor(checkpoint, panda, SAMPLED).predict(**given, rng=np.random.default_rng(0))
+        Predictor(stored(checkpoint), panda, SAMPLED).predict(**given, rng=np.random.default_rng(0))
     assert "\n" not in str(caught.value)
 
 
@@ -267,7 +270,7 @@ def changed_kinematics(**changes):
 )  # fmt: skip
 def test_models_that_do_not_fit_the_robot_are_refused(panda, checkpoint, change, message):
     with pytest.raises(InvalidInputError, match=message):
-        Predictor(dataclasses.replace(checkpoint, **change), panda)
+        Predictor(stored(dataclasses.replace(checkpoint, **change)), panda)
 
 
 @pytest.mark.parametrize(
@@ -287,5 +290,5 @@ def test_settings_are_checked(settings, message):
 
 def test_a_model_without_features_or_refinement(panda, queries):
     config = small_config(refinement=False, feature_dim=0)
-    prediction = predict(Predictor(random_checkpoint(panda, config, metadata={}), panda), queries)
+    prediction = predict(Predictor(stored(random_checkpoint(panda, config, metadata={})), panda), queries)
     assert prediction.refinement is None and np.isfinite(prediction.covariances).all()

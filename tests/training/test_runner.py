@@ -16,11 +16,12 @@ from cli.main import main
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
-from cvqmpt_lab.models.compact.inference import CompactInference
 from cvqmpt_lab.models.config import PointCloudConfig, SetAbstractionConfig, TransformerConfig
 from cvqmpt_lab.models.decoding.beam_search import beam_search
-from cvqmpt_lab.models.mpnet.network import load_mpnet
 from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.stored import read_model
+from cvqmpt_lab.prediction.compact_network import CompactNetwork
+from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.training import run_folder
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions
@@ -154,18 +155,18 @@ def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, dictionary):
     torch.testing.assert_close(model.code_configurations, means)
     for name, tensor in load_checkpoint(dictionary / "model").dictionary.state_dict().items():
         assert torch.equal(words.state_dict()[name], tensor)
-    with torch.no_grad():
-        scene = model.encode_scene(torch.rand(1, 48, 3))
-        ends = links.configurations(torch.rand(2, 1, 7))
-        assert len(beam_search(CompactInference(model, words).decoder(scene, ends[0], ends[1]))) == 1
+    network = CompactNetwork(read_model(tmp_path / "s2" / "model"))
+    scene = network.encode_scene(np.random.default_rng(0).random((48, 3), dtype=np.float32))
+    start, goal = links.configurations(torch.rand(2, 1, 7)).numpy()
+    assert len(beam_search(network.decoder(scene, start, goal))) == 1
 
 
 def test_mpnet_leaves_a_network(tmp_path, data):
     go("mpnet", data, tmp_path / "m", epochs=1)
     row = curves(tmp_path / "m")[0]
     assert float(row["validation_squared_error"]) != float(row["validation_wrong_cloud_squared_error"])
-    network = load_mpnet(tmp_path / "m" / "model").network
-    assert network.encode(torch.rand(2, 48, 3)).shape == (2, 28)
+    network = MPNetNetwork(read_model(tmp_path / "m" / "model"))
+    assert network.encode(np.zeros((48, 3))).shape == (28,)
 
 
 def test_the_published_model_trains(tmp_path, data):

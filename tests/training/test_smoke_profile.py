@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from cvqmpt_lab.models.checkpoint import load_checkpoint
+from cvqmpt_lab.models.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.prediction.settings import PredictorSettings
@@ -28,7 +28,7 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
 
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
     checkpoint = load_checkpoint(stage2 / "model", robot_signature(robot))
-    predictor = Predictor(checkpoint, robot, PredictorSettings(uniform_share=0.2))
+    predictor = Predictor(stored(checkpoint), robot, PredictorSettings(uniform_share=0.2))
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.8, 0.8, (400, 3))
     start, goal = robot.random_configurations(rng, 2)

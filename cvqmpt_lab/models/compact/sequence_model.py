@@ -14,8 +14,8 @@ from cvqmpt_lab.models.config import ModelConfig
 from cvqmpt_lab.models.decoding.step_decoder import rows_per_scene
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.dictionary.gaussian_decoder import Gaussians
+from cvqmpt_lab.models.point_cloud.clouds import require_point_cloud
 from cvqmpt_lab.models.point_cloud.encoder import PointCloudEncoder, SceneTokens, TokenLevel
-from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
 from cvqmpt_lab.models.published.attention import sinusoid_table
 
 

@@ -4,8 +4,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.config import TransformerConfig
-from cvqmpt_lab.models.published.attention import EPSILON, SelfAttentionLayer, sinusoid_table
+from cvqmpt_lab.models.config import EPSILON, TransformerConfig
+from cvqmpt_lab.models.published.attention import SelfAttentionLayer, sinusoid_table
 
 
 class PositionTable(nn.Module):

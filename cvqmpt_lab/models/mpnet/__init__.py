@@ -1,1 +1,1 @@
-"""MPNet: its network, and its inference without torch."""
+"""MPNet's network."""

@@ -1,48 +1,11 @@
 """MPNet: one network encodes the cloud, another proposes the next configuration on the way to the goal."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, ClassVar
-
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.config import require_probability, require_sizes
-from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
-from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.weights_folder import load_part, read_description
-
-
-@dataclass(frozen=True, kw_only=True)
-class MPNetConfig:
-    """Sizes; defaults are those of the published 7-joint model."""
-
-    joint_dim: int = 7
-    n_points: int = 4120
-    """Points of a cloud, drawn at random from what there is."""
-    encoder_widths: tuple[int, ...] = (786, 512, 256)
-    """Hidden layers of the cloud encoder."""
-    code_dim: int = 60
-    """Of an encoded cloud."""
-    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
-    """Hidden layers of the planner."""
-    dropout: float = 0.5
-    """Probability to drop a unit, after every hidden layer of the planner but the last."""
-
-    def __post_init__(self) -> None:
-        require_sizes(
-            joint_dim=self.joint_dim,
-            n_points=self.n_points,
-            code_dim=self.code_dim,
-            encoder_widths=self.encoder_widths,
-            planner_widths=self.planner_widths,
-        )
-        require_probability("dropout", self.dropout)
-        if not self.encoder_widths or not self.planner_widths:
-            raise InvalidInputError("encoder_widths and planner_widths need a layer each")
+from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.point_cloud.clouds import require_point_cloud
 
 
 class Dropout(nn.Module):
@@ -128,33 +91,3 @@ def draw_points(cloud: Tensor, count: int, generator: torch.Generator | None = N
     require_point_cloud(cloud)
     order = torch.randperm(len(cloud), generator=generator)
     return cloud[order[torch.arange(count) % len(cloud)].to(cloud.device)]
-
-
-@dataclass(frozen=True, eq=False)
-class MPNetCheckpoint:
-    """A trained MPNet and what it belongs to."""
-
-    architecture: ClassVar[str] = "mpnet"
-
-    robot: RobotSignature
-    network: MPNet
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    """Json values: how it was trained."""
-
-    @property
-    def config(self) -> MPNetConfig:
-        """Sizes of the network."""
-        return self.network.config
-
-    @property
-    def parts(self) -> dict[str, nn.Module]:
-        """Modules by the name of their weights file."""
-        return {"mpnet": self.network}
-
-
-def load_mpnet(folder: Path, robot: RobotSignature | None = None) -> MPNetCheckpoint:
-    """Read a folder of MPNet's weights; errors as in `checkpoint.load_checkpoint`."""
-    description = read_description(folder, MPNetCheckpoint.architecture, robot)
-    config = from_plain(MPNetConfig, description.model, "model", complete=True)
-    network = load_part(folder, description, "mpnet", lambda: MPNet(config))
-    return MPNetCheckpoint(description.robot, network, description.metadata)

@@ -8,9 +8,6 @@ from torch import Tensor
 
 from cvqmpt_lab.errors import InvalidInputError
 
-LARGEST_EXTENT = 50.0
-"""Of a cloud [m]; a larger one was almost surely given in millimetres."""
-
 _PAIRS_AT_ONCE = 1 << 17
 """Distances held at once: half a megabyte, so that they stay in the cache."""
 
@@ -23,29 +20,6 @@ class Edges:
     """(e,) int64, index into the clouds' points laid end to end; ascends for one centre."""
     centre: Tensor
     """(e,) int64, index into the centres, likewise; ascends."""
-
-
-def require_point_cloud(points: Tensor) -> None:
-    """Check a cloud (..., n, 3) [m].
-
-    Raises
-    ------
-    InvalidInputError
-        When it has fewer than two points, a wrong shape, NaN or infinite values, or is so large that
-        its unit cannot be metres.
-    """
-    if points.ndim < 2 or points.shape[-1] != 3:
-        raise InvalidInputError(f"point cloud of shape {tuple(points.shape)}; it must be (n, 3) [m]")
-    if points.shape[-2] < 2:
-        raise InvalidInputError(f"point cloud of {points.shape[-2]} points; give at least 2")
-    if not torch.isfinite(points).all():
-        bad = int((~torch.isfinite(points).all(dim=-1)).sum())
-        raise InvalidInputError(f"point cloud has {bad} points with NaN or infinite values; drop them")
-    largest = float(points.abs().max())
-    if largest > LARGEST_EXTENT:
-        raise InvalidInputError(
-            f"point cloud reaches {largest:g} m; at most {LARGEST_EXTENT:g} m: give metres, not millimetres"
-        )
 
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:

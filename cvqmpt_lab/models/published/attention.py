@@ -4,10 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from cvqmpt_lab.models.config import TransformerConfig
-
-EPSILON = 1e-6
-"""Of every layer norm in these blocks."""
+from cvqmpt_lab.models.config import EPSILON, TransformerConfig
 
 
 class MultiHeadAttention(nn.Module):

@@ -4,9 +4,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from cvqmpt_lab.models.config import PointCloudConfig, TransformerConfig
+from cvqmpt_lab.models.config import EPSILON, PointCloudConfig, TransformerConfig
 from cvqmpt_lab.models.point_cloud.encoder import PointCloudEncoder
-from cvqmpt_lab.models.published.attention import EPSILON, CrossAttentionLayer
+from cvqmpt_lab.models.published.attention import CrossAttentionLayer
 
 
 class CrossAttentionContext(nn.Module):

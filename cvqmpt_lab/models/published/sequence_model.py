@@ -7,12 +7,13 @@ import torch
 from torch import Tensor, nn
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.config import ModelConfig, TransformerConfig
-from cvqmpt_lab.models.decoding.step_decoder import PrefixDecoder, StepDecoder, rows_per_scene
+from cvqmpt_lab.models.config import EPSILON, ModelConfig, TransformerConfig
+from cvqmpt_lab.models.decoding.step_decoder import StepDecoder, rows_per_scene
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.dictionary.quantizer import Quantizer
-from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
-from cvqmpt_lab.models.published.attention import EPSILON, SelfAttentionLayer
+from cvqmpt_lab.models.point_cloud.clouds import require_point_cloud
+from cvqmpt_lab.models.published.attention import SelfAttentionLayer
+from cvqmpt_lab.models.published.prefix_decoder import PrefixDecoder
 from cvqmpt_lab.models.published.scene_context import SceneContext
 
 START_TOKEN = -1.0

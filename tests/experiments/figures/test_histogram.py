@@ -11,7 +11,7 @@ from small_models import random_checkpoint
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import save_checkpoint
+from cvqmpt_lab.models.checkpoint import save_checkpoint, stored
 from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentSettings
 from cvqmpt_lab.prediction.predictor import Predictor
@@ -28,7 +28,7 @@ SETTINGS = UpdateSettings(samples=300, latent=LatentSettings(steps=3))
 
 @pytest.fixture(scope="module")
 def checkpoint(panda):
-    return random_checkpoint(panda)
+    return stored(random_checkpoint(panda))
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_the_cloud_is_drawn_beside_its_scene(update, small_pictures):
 
 
 def test_no_codes_is_said(few_goals, panda):
-    silent = random_checkpoint(panda, goal_bias=-1e6)
+    silent = stored(random_checkpoint(panda, goal_bias=-1e6))
     with pytest.raises(InvalidInputError, match="predicted 0 codes"):
         update_latents(few_goals, silent, SETTINGS)
 
@@ -206,9 +206,9 @@ def test_settings_are_checked(name, value):
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory, checkpoint):
+def model(tmp_path_factory, panda):
     folder = tmp_path_factory.mktemp("weights") / "model"
-    save_checkpoint(folder, checkpoint)
+    save_checkpoint(folder, random_checkpoint(panda))
     return folder
 
 

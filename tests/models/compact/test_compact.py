@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from cvqmpt_lab.models.compact.inference import CompactInference
+from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, stored
 from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import (
     ModelConfig,
@@ -18,9 +17,10 @@ from cvqmpt_lab.models.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.models.decoding.beam_search import beam_search, sample_sequences
-from cvqmpt_lab.models.decoding.step_decoder import PrefixDecoder
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.published.prefix_decoder import PrefixDecoder
 from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.prediction.compact_network import CompactNetwork
 from cvqmpt_lab.training.losses import binary_loss, refinement_loss, sequence_loss
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24, dropout=0.1)
@@ -75,6 +75,17 @@ def ends(rows, config=CONFIG):
     return torch.rand(rows, config.configuration_dim, generator=generator), torch.rand(
         rows, config.configuration_dim, generator=generator
     )
+
+
+def in_numpy(dictionary, model):
+    """The same model as prediction runs it."""
+    robot = RobotSignature("arm", (0.0,) * 7, (1.0,) * 7)
+    return CompactNetwork(stored(Checkpoint(model.config, robot, dictionary, model)))
+
+
+def cached_decoder(network, cloud, start, goal):
+    """Decoder of the numpy network for a cloud (1, n, 3) and ends, as tensors."""
+    return network.decoder(network.encode_scene(cloud[0].numpy()), start.numpy(), goal.numpy())
 
 
 def whole_prefixes(model, dictionary, scene, start, goal):
@@ -139,11 +150,10 @@ def test_rows_are_grouped_by_scene(full):
 @pytest.mark.parametrize("config", [CONFIG, PLAIN], ids=["full", "plain"])
 def test_cached_decoding_equals_whole_prefixes(config):
     dictionary, model = build(config)
+    start, goal = ends(4, config)
     with torch.no_grad():
-        scene = model.encode_scene(clouds(2))
-        start, goal = ends(4, config)
-        whole = whole_prefixes(model, dictionary, scene, start, goal)
-    cached = CompactInference(model, dictionary).decoder(scene, start, goal)
+        whole = whole_prefixes(model, dictionary, model.encode_scene(clouds(1)), start, goal)
+    cached = cached_decoder(in_numpy(dictionary, model), clouds(1), start, goal)
     np.testing.assert_allclose(cached.start(), whole.start(), atol=2e-6)
     rng = np.random.default_rng(0)
     steps: list[np.ndarray | None] = [np.arange(4).repeat(3)]
@@ -160,15 +170,17 @@ def test_searches_agree_with_and_without_cache(full):
     with torch.no_grad():
         scene = model.encode_scene(clouds(1))
     start, goal = ends(3)
-    inference = CompactInference(model, dictionary)
+    network = in_numpy(dictionary, model)
     for scoring in ("log-probability", "published"):
         plain = beam_search(
             whole_prefixes(model, dictionary, scene, start, goal), max_length=20, scoring=scoring
         )
-        fast = beam_search(inference.decoder(scene, start, goal), max_length=20, scoring=scoring)
+        fast = beam_search(cached_decoder(network, clouds(1), start, goal), max_length=20, scoring=scoring)
         single = [
             beam_search(
-                inference.decoder(scene, start[i : i + 1], goal[i : i + 1]), max_length=20, scoring=scoring
+                cached_decoder(network, clouds(1), start[i : i + 1], goal[i : i + 1]),
+                max_length=20,
+                scoring=scoring,
             )[0]
             for i in range(3)
         ]
@@ -179,7 +191,7 @@ def test_searches_agree_with_and_without_cache(full):
         sample_sequences(decoder, 4, np.random.default_rng(1), max_length=20)
         for decoder in (
             whole_prefixes(model, dictionary, scene, start, goal),
-            inference.decoder(scene, start, goal),
+            cached_decoder(network, clouds(1), start, goal),
         )
     ]
     assert [[s.codes for s in row] for row in draws[0]] == [[s.codes for s in row] for row in draws[1]]
@@ -187,8 +199,7 @@ def test_searches_agree_with_and_without_cache(full):
 
 def test_a_cached_decoder_serves_one_search(full):
     dictionary, model = full
-    with torch.no_grad():
-        decoder = CompactInference(model, dictionary).decoder(model.encode_scene(clouds(1)), *ends(1))
+    decoder = cached_decoder(in_numpy(dictionary, model), clouds(1), *ends(1))
     decoder.start()
     with pytest.raises(InvalidInputError, match="used before"):
         decoder.start()
@@ -276,8 +287,7 @@ def test_it_learns_a_sequence():
         logits = model(model.encode_scene(scene), start, goal, codes).logits
         sequence_loss(logits.flatten(0, 1), targets.flatten(), 1).backward()
         optimizer.step()
-    with torch.no_grad():
-        decoder = CompactInference(model, dictionary).decoder(model.encode_scene(scene), start, goal)
+    decoder = cached_decoder(in_numpy(dictionary, model), scene, start, goal)
     found = beam_search(decoder)[0]
     assert (found.codes, found.finished) == ((3, 7, 3, 1), True)
 

@@ -1,18 +1,15 @@
 """MPNet: sizes, dropout that stays on, drawing of points, weights on disk."""
 
+import numpy as np
 import pytest
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import save_checkpoint
-from cvqmpt_lab.models.mpnet.network import (
-    MPNet,
-    MPNetCheckpoint,
-    MPNetConfig,
-    draw_points,
-    load_mpnet,
-)
+from cvqmpt_lab.models.checkpoint import MPNetCheckpoint, save_checkpoint
+from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.mpnet.network import MPNet, draw_points
 from cvqmpt_lab.models.robot_signature import RobotSignature
+from cvqmpt_lab.models.stored import MPNET, read_model
 
 SMALL = MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 12, 8))
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
@@ -82,9 +79,9 @@ def test_it_trains(network):
 
 def test_round_trip(network, tmp_path):
     save_checkpoint(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
-    loaded = load_mpnet(tmp_path / "m", ROBOT)
-    assert (loaded.network.config, loaded.robot, loaded.metadata) == (SMALL, ROBOT, {"note": "x"})
-    ends = queries()
-    torch.testing.assert_close(loaded.network(*ends, stochastic=False), network(*ends, stochastic=False))
+    loaded = read_model(tmp_path / "m", ROBOT, MPNET)
+    assert (loaded.config, loaded.robot, loaded.metadata) == (SMALL, ROBOT, {"note": "x"})
+    for name, tensor in network.state_dict().items():
+        np.testing.assert_array_equal(loaded.parts["mpnet"][name], tensor)
     with pytest.raises(InvalidInputError, match="not 'leg'"):
-        load_mpnet(tmp_path / "m", RobotSignature("leg", ROBOT.lower, ROBOT.upper))
+        read_model(tmp_path / "m", RobotSignature("leg", ROBOT.lower, ROBOT.upper))

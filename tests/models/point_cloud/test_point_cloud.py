@@ -7,8 +7,9 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import PointCloudConfig, SetAbstractionConfig
 from cvqmpt_lab.models.point_cloud import sampling as point_sampling
+from cvqmpt_lab.models.point_cloud.clouds import require_point_cloud
 from cvqmpt_lab.models.point_cloud.encoder import PointCloudEncoder, SetAbstraction, TokenLevel
-from cvqmpt_lab.models.point_cloud.sampling import ball_query, farthest_point_sampling, require_point_cloud
+from cvqmpt_lab.models.point_cloud.sampling import ball_query, farthest_point_sampling
 
 
 @pytest.fixture

@@ -7,49 +7,47 @@ product with one row reads each weight once and needs no preparation.
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import nn
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.mpnet.network import MPNet
-from cvqmpt_lab.models.point_cloud.sampling import require_point_cloud
+from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.stored import StoredModel, Tensors
+from cvqmpt_lab.prediction.cloud_encoder import checked_cloud
+from cvqmpt_lab.prediction.layers import Affine
 
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """x -> x @ weight + bias, then an activation."""
+    """A linear map and its activation."""
 
-    weight: np.ndarray
-    bias: np.ndarray
-    slope: np.ndarray | None
-    """What negative values are multiplied by; None for no activation."""
-
-    @classmethod
-    def of(cls, linear: nn.Linear, prelu: nn.PReLU | None) -> "_Layer":
-        arrays = [
-            tensor.detach().cpu().float().numpy().copy()
-            for tensor in (linear.weight, linear.bias, *(prelu.parameters() if prelu else ()))
-        ]
-        return cls(np.ascontiguousarray(arrays[0].T), arrays[1], arrays[2] if prelu else None)
+    affine: Affine
+    slope: np.ndarray
+    """(1,), what negative values are multiplied by."""
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        y = x @ self.weight
-        y += self.bias
-        return y if self.slope is None else np.where(y > 0.0, y, self.slope * y)
+        y = self.affine(x)
+        return np.where(y > 0.0, y, self.slope * y)
 
 
-class MPNetInference:
-    """A snapshot of a network's weights; the same mathematics as `MPNet`, without a torch call per layer."""
+class MPNetNetwork:
+    """MPNet's weights, ready to propose; the same mathematics as `models.mpnet`, which trains it."""
 
-    def __init__(self, network: MPNet) -> None:
-        self.config = network.config
-        modules = list(network.encoder)
+    def __init__(self, model: StoredModel) -> None:
+        """Take the weights over; raises InvalidInputError when they do not fit the configuration."""
+        self.config: MPNetConfig = model.config
+        config, tensors = self.config, model.part("mpnet")
+        widths = (3 * config.n_points, *config.encoder_widths)
+        last = len(config.encoder_widths)
         self._encoder = [
-            _layer(modules[i], modules[i + 1] if i + 1 < len(modules) else None)
-            for i in range(0, len(modules), 2)
+            _layer(tensors, f"encoder.{2 * i}", f"encoder.{2 * i + 1}", widths[i], widths[i + 1])
+            for i in range(last)
         ]
-        self._hidden = [_layer(*pair) for pair in network.hidden]  # type: ignore[misc]
-        self._out = _layer(network.out, None)
+        self._code = Affine.of(tensors, f"encoder.{2 * last}", widths[-1], config.code_dim)
+        widths = (config.code_dim + 2 * config.joint_dim, *config.planner_widths)
+        self._hidden = [
+            _layer(tensors, f"hidden.{i}.0", f"hidden.{i}.1", widths[i], widths[i + 1])
+            for i in range(len(config.planner_widths))
+        ]
+        self._out = Affine.of(tensors, "out", widths[-1], config.joint_dim)
+        tensors.require_used()
 
     def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Points (n_points, 3) of a cloud (m, 3) [m] in random order; all of them again when they run out.
@@ -59,10 +57,7 @@ class MPNetInference:
         InvalidInputError
             For fewer than two points, another shape, NaN, or an extent that cannot be metres.
         """
-        points = np.asarray(cloud, dtype=np.float32)
-        if points.ndim != 2:
-            raise InvalidInputError(f"point cloud of shape {points.shape}; it must be (n, 3) [m]")
-        require_point_cloud(torch.from_numpy(points))
+        points = checked_cloud(cloud)
         return points[rng.permutation(len(points))[np.arange(self.config.n_points) % len(points)]]
 
     def encode(self, points: np.ndarray) -> np.ndarray:
@@ -70,7 +65,7 @@ class MPNetInference:
         x = np.ascontiguousarray(points, dtype=np.float32).ravel()
         for layer in self._encoder:
             x = layer(x)
-        return x
+        return self._code(x)
 
     def propose(
         self,
@@ -93,6 +88,6 @@ class MPNetInference:
         return self._out(x)
 
 
-def _layer(linear: nn.Module, prelu: nn.Module | None) -> _Layer:
-    assert isinstance(linear, nn.Linear) and (prelu is None or isinstance(prelu, nn.PReLU))
-    return _Layer.of(linear, prelu)
+def _layer(tensors: Tensors, linear: str, slope: str, before: int, after: int) -> _Layer:
+    affine = Affine.of(tensors, linear, before, after)
+    return _Layer(affine, tensors(f"{slope}.weight", 1).astype(np.float32))
