@@ -152,10 +152,15 @@ def _is_positive(length: float) -> bool:
     return length > 0.0
 
 
+def _is_not_negative(length: float) -> bool:
+    return length >= 0.0
+
+
 Name = Annotated[
     str, Such(str, _is_name, "1 to 200 printable characters", {"minLength": 1, "maxLength": 200})
 ]
 Length = Annotated[float, Such(float, _is_positive, "a positive length [m]", {"exclusiveMinimum": 0})]
+Padding = Annotated[float, Such(float, _is_not_negative, "a length of 0 or more [m]", {"minimum": 0})]
 
 
 def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:

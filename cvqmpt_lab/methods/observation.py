@@ -11,16 +11,17 @@ from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud, thinned, visible_points
+from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.scene.shapes import Measured
 
 
 class Observer:
     """Gives the cloud of a problem's scene; the same scene gives the same cloud.
 
-    Virtual cameras look at a scene made of shapes. Of a scene that holds clouds these are used, with what the cameras
-    see of its other shapes. Casting rays takes a second, a camera's cloud nothing: planners look before their clock
-    starts, and scenes seen lately are remembered.
+    Virtual cameras look at a scene made of shapes. Of a scene that holds clouds or occupancy maps these are used,
+    with what the cameras see of its other shapes. Casting rays takes a second, a camera's cloud nothing: planners
+    look before their clock starts, and scenes seen lately are remembered.
     """
 
     def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
@@ -63,7 +64,7 @@ class Observer:
         return cloud
 
     def _look(self, scene: Scene) -> np.ndarray:
-        clouds = [item for item in scene.objects if isinstance(item.shape, PointCloud)]
+        clouds = [item for item in scene.objects if isinstance(item.shape, Measured)]
         if clouds:
             rest = scene.without(*(item.name for item in clouds))
             seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
@@ -93,9 +94,9 @@ def shown(method: Method, points: np.ndarray) -> Method:
 
 
 def _world_points(clouds: Sequence[SceneObject]) -> np.ndarray:
-    """Points (p, 3) [m] of objects that are clouds, in the world."""
+    """Points (p, 3) [m] of objects that are clouds or maps, in the world; of maps the outermost cells."""
     parts = []
     for item in clouds:
-        assert isinstance(item.shape, PointCloud)
-        parts.append(item.shape.points @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3])
+        assert isinstance(item.shape, Measured)
+        parts.append(seen_points(item.shape) @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3])
     return np.concatenate(parts)

@@ -1,9 +1,12 @@
 """From a problem's robot, attachments and scene to the arrays of the compiled collision checker."""
 
+from collections.abc import Callable, Mapping
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.kernels.collision.clusters import Cloud
 from cvqmpt_lab.kernels.collision.geometry import (
     CELL,
     RobotGeometry,
@@ -11,15 +14,22 @@ from cvqmpt_lab.kernels.collision.geometry import (
     robot_geometry,
     scene_geometry,
 )
-from cvqmpt_lab.kernels.collision.point_clusters import Cloud
 from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, SPHERE
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.cloud_cells import MOST_BALLS, cloud_cells
+from cvqmpt_lab.scene.cells import MOST_BALLS, cells_of, merged
 from cvqmpt_lab.scene.exact_checker import carried_pairs
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
+from cvqmpt_lab.scene.shapes import (
+    Box,
+    ConvexMesh,
+    Cylinder,
+    Measured,
+    PointCloud,
+    Shape,
+    Sphere,
+)
 
 NO_VERTICES = np.empty((0, 3))
 MOST_CELLS = 256
@@ -32,37 +42,39 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     specs = [ShapeSpec(HULL, (), piece.vertices, piece.T_link_geometry) for piece in robot.links]
     links = [piece.link for piece in robot.links]
     hand, T_link_hand = robot.end_effector_link
+    rows = []
     for item in attachments:
-        specs.extend(_specs(item.shape, T_link_hand @ item.T_hand_object))
-        links.append(hand)
-    n = len(robot.links)
-    carried = [(i, n + k) for i, k in carried_pairs(robot, attachments)]
-    return robot_geometry(specs, links, [*robot.self_collision_pairs, *carried])
+        carried = _specs(item.shape, T_link_hand @ item.T_hand_object)
+        rows.append(range(len(specs), len(specs) + len(carried)))
+        specs.extend(carried)
+        links.extend([hand] * len(carried))
+    pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
+    return robot_geometry(specs, links, [*robot.self_collision_pairs, *pairs])
 
 
 @lru_cache(maxsize=8)
 def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base."""
-    solids = [item for item in scene.obstacles if not isinstance(item.shape, PointCloud)]
+    solids = [item for item in scene.obstacles if not isinstance(item.shape, Measured)]
     clouds = [
         _cloud(item.shape, item.T_world_object, reach)
         for item in scene.obstacles
-        if isinstance(item.shape, PointCloud)
+        if isinstance(item.shape, Measured)
     ]
     specs = [spec for item in solids for spec in _specs(item.shape, item.T_world_object)]
     cell = max(CELL, 2.0 * reach / MOST_CELLS)
     return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
 
 
-def _cloud(cloud: PointCloud, T: np.ndarray, reach: float) -> Cloud:
-    """The balls of a cloud in the world; of a large one, balls around the cells that the exact checker sees."""
-    points, radius = cloud.points, cloud.radius
-    if len(points) > MOST_BALLS:
-        cells = cloud_cells(cloud, T, reach)
-        if cells is None:
-            return Cloud(NO_VERTICES, radius)
-        points, radius, T = cells.centres, 0.5 * np.sqrt(3.0) * cells.edge, cells.T_parent_cells
-    return Cloud(points @ T[:3, :3].T + T[:3, 3], radius)
+def _cloud(shape: Measured, T: np.ndarray, reach: float = np.inf, most_balls: int = MOST_BALLS) -> Cloud:
+    """The balls of a small cloud; of a large one and of a map, its cells in reach, joined to boxes."""
+    if isinstance(shape, PointCloud) and len(shape.points) <= most_balls:
+        return Cloud(shape.points, np.zeros_like(shape.points), shape.radius, T)
+    cells = cells_of(shape, T, reach)
+    if cells is None:
+        return Cloud(NO_VERTICES, NO_VERTICES, 0.0, T)
+    low, high = (cells.edge * corner for corner in merged(cells.index))
+    return Cloud(0.5 * (low + high), 0.5 * (high - low), cells.padding, cells.T_parent_cells)
 
 
 def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
@@ -70,19 +82,21 @@ def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
     return SPECS[type(shape)](shape, T)
 
 
-def _balls(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
-    """A carried cloud, as balls around the cells that the exact checker sees."""
-    cells = cloud_cells(cloud, T)
-    assert cells is not None  # nothing is out of reach
-    poses = np.tile(np.eye(4), (len(cells.centres), 1, 1))
-    poses[:, :3, 3] = cells.centres @ cells.T_parent_cells[:3, :3].T + cells.T_parent_cells[:3, 3]
-    return [ShapeSpec(SPHERE, (0.5 * np.sqrt(3.0) * cells.edge,), NO_VERTICES, pose) for pose in poses]
+def _boxes(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
+    """A carried cloud, as the cells that the exact checker sees."""
+    grains = _cloud(cloud, T, most_balls=0)
+    poses = np.tile(grains.T_world_cloud, (len(grains.centre), 1, 1))
+    poses[:, :3, 3] += grains.centre @ poses[0, :3, :3].T
+    return [
+        ShapeSpec(BOX, tuple(2.0 * half), NO_VERTICES, pose)
+        for half, pose in zip(grains.half, poses, strict=True)
+    ]
 
 
-SPECS = {
+SPECS: Mapping[type, Callable[[Any, np.ndarray], list[ShapeSpec]]] = {
     Box: lambda box, T: [ShapeSpec(BOX, box.size, NO_VERTICES, T)],
     Cylinder: lambda c, T: [ShapeSpec(CYLINDER, (c.radius, c.radius, c.height), NO_VERTICES, T)],
     Sphere: lambda sphere, T: [ShapeSpec(SPHERE, (sphere.radius,), NO_VERTICES, T)],
     ConvexMesh: lambda mesh, T: [ShapeSpec(HULL, (), mesh.vertices, T)],
-    PointCloud: _balls,
+    PointCloud: _boxes,
 }

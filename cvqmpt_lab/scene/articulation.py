@@ -11,7 +11,7 @@ from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
 from cvqmpt_lab.scene.exact_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.scene.shapes import Measured
 
 REST_GAP = 1e-3  # [m] pieces that come closer to the object somewhere on its way are part of its casing, ...
 DEEPEST = 1e-4  # [m] ... unless it goes deeper into them: then they are obstacles that stop it
@@ -44,7 +44,7 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     movers = [scene[part] for part in joint.moves]
     moved = {part for item in scene.articulations for part in item.moves}
     fixed = [
-        item for item in scene.obstacles if item.name not in moved and not isinstance(item.shape, PointCloud)
+        item for item in scene.obstacles if item.name not in moved and not isinstance(item.shape, Measured)
     ]
     casing = [item for item in fixed if _rests_against(joint, movers, item)]
     T_world_joint = joint.T_world_joint @ pose((0.0, 0.0, _along_axis(joint, movers)))

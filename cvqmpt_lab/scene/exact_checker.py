@@ -44,9 +44,7 @@ class _World(NamedTuple):
 
     phase: coal.DynamicAABBTreeCollisionManager
     objects: list[coal.CollisionObject]
-    """They must outlive the broad phase."""
-    boxes: np.ndarray
-    """(2, o, 3), lower and upper corners of the boxes around them [m]."""
+    """They must outlive the broad phase, which looks at their boxes, too."""
 
 
 class CollisionChecker:
@@ -140,10 +138,9 @@ class CollisionChecker:
         self._own.update()
         request = self._callback.data.request
         request.security_margin = self._margin
-        gaps, pieces, obstacles = self._box_gaps()
-        for j, i in np.argwhere(self._margin >= gaps.T):
-            result = coal.CollisionResult()
-            if coal.collide(pieces[i], obstacles[j], request, result):
+        pieces, obstacles = self._own_objects(), self._world(0.0).objects
+        for j, i in np.argwhere(_box_gaps(obstacles, pieces) <= self._margin):
+            if coal.collide(pieces[i], obstacles[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
 
@@ -163,12 +160,13 @@ class CollisionChecker:
             objects = [
                 coal.CollisionObject(item.shape, transform(item.T_parent_shape)) for item in self._obstacles
             ]
+            more = np.full(3, swelling)
             for item in objects:
-                item.getAABB().expand(np.full(3, swelling))
+                item.getAABB().expand(more)
             phase = coal.DynamicAABBTreeCollisionManager()
             phase.registerObjects(objects)
             phase.setup()
-            self._worlds[swelling] = _World(phase, objects, _boxes(objects))
+            self._worlds[swelling] = _World(phase, objects)
         return self._worlds[swelling]
 
     def _share_of_margins(self, margins: np.ndarray) -> float:
@@ -190,15 +188,9 @@ class CollisionChecker:
         """The obstacles in boxes that are swelled by no less than a margin [m]."""
         return self._world(next((s for s in (self._margin, *SWELLINGS) if s >= margin), margin))
 
-    def _box_gaps(self) -> tuple[np.ndarray, list, list]:
-        """Distances (p, o) between the boxes around pieces and obstacles [m], and these as coal's objects."""
-        pieces, (_, obstacles, boxes) = (
-            [item for *_, objects in self._links for item in objects],
-            self._world(0.0),
-        )
-        own = _boxes(pieces)
-        apart = np.maximum(own[0][:, None] - boxes[1], boxes[0] - own[1][:, None])
-        return np.linalg.norm(np.maximum(apart, 0.0), axis=2), pieces, obstacles
+    def _own_objects(self) -> list[coal.CollisionObject]:
+        """Pieces that can meet obstacles, in the order of their names."""
+        return [item for *_, objects in self._links for item in objects]
 
     def _own_distance(self, q: np.ndarray) -> float:
         """Smallest distance of the robot's own pairs [m]; poses are ready after it."""
@@ -211,6 +203,13 @@ class CollisionChecker:
     def _own_pair(self, index: int) -> CollidingPair:
         pair, objects = self._geometry.collisionPairs[index], self._geometry.geometryObjects
         return CollidingPair(objects[pair.first].name, objects[pair.second].name)
+
+
+def _box_gaps(first: list, second: list) -> np.ndarray:
+    """Distances (a, b) [m] between the boxes around coal's objects, a of the first and b of the second."""
+    one, other = _boxes(first), _boxes(second)
+    apart = np.maximum(one[0][:, None] - other[1], other[0] - one[1][:, None])
+    return np.linalg.norm(np.maximum(apart, 0.0), axis=2)
 
 
 def _boxes(objects: list) -> np.ndarray:

@@ -10,9 +10,18 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.cloud_cells import MOST_BALLS, CloudCells, cloud_cells
+from cvqmpt_lab.scene.cells import MOST_BALLS, Cells, cells_of, merged
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, bounding_radius
+from cvqmpt_lab.scene.shapes import (
+    Box,
+    ConvexMesh,
+    Cylinder,
+    Measured,
+    PointCloud,
+    Shape,
+    Sphere,
+    bounding_radius,
+)
 
 LONGEST_REACH = 20.0
 """[m] of an arm with what it carries; more is a misplaced unit, and would take time and memory without end."""
@@ -47,40 +56,38 @@ def reach_with(robot: Robot, attachments: Sequence[Attachment]) -> float:
 
 def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
     """The obstacles of a scene that something within reach [m] of the world's origin can touch."""
-    for item in scene.objects:
-        if not item.obstacle:
-            continue
+    for item in scene.obstacles:
         position = float(np.linalg.norm(item.T_world_object[:3, 3]))
-        if isinstance(item.shape, PointCloud) or position - bounding_radius(item.shape) <= reach:
+        if isinstance(item.shape, Measured) or position - bounding_radius(item.shape) <= reach:
             yield from solids(item.name, item.shape, item.T_world_object, reach)
 
 
 def solids(
     name: str, shape: Shape, T: np.ndarray, reach: float = np.inf, most_balls: int = MOST_BALLS
 ) -> Iterator[Solid]:
-    """The shape itself at pose T; of a small cloud its balls, of a large one an octree, if any of it is in reach."""
-    if not isinstance(shape, PointCloud):
+    """The shape itself at pose T; of a small cloud its balls; of a large one and of a map, boxes in reach."""
+    if not isinstance(shape, Measured):
         yield Solid(name, coal_shape(shape), T)
-    elif len(shape.points) <= most_balls:
+    elif isinstance(shape, PointCloud) and len(shape.points) <= most_balls:
         for k, point in enumerate(shape.points):
             T_ball = T.copy()
             T_ball[:3, 3] += T[:3, :3] @ point
             yield Solid(f"{name}/{k}", coal.Sphere(shape.radius), T_ball)
-    elif (cells := cloud_cells(shape, T, reach)) is not None:
-        yield Solid(name, octree(cells), cells.T_parent_cells)
+    elif (cells := cells_of(shape, T, reach)) is not None:
+        yield from _cell_solids(name, cells)
 
 
-def octree(cells: CloudCells) -> coal.OcTree:
-    """The cells as coal's octree; InvalidInputError should it have lost any."""
-    tree = coal.makeOctree(cells.centres, cells.edge)
-    edges = np.array([box[3] for box in tree.toBoxes()])
-    kept = int(np.round((edges / cells.edge) ** 3).sum())
-    if kept != len(cells.centres):
-        raise InvalidInputError(
-            f"point cloud: {len(cells.centres) - kept} of {len(cells.centres)} cells of {cells.edge:.3g} m do not fit "
-            f"into an octree; give points with a larger radius"
-        )
-    return tree
+def _cell_solids(name: str, cells: Cells) -> Iterator[Solid]:
+    """Cells, joined to boxes: three times as fast to check as coal's octrees, which descend from 2^16 cells."""
+    low, high = merged(cells.index)
+    sizes, kind = np.unique(high - low, axis=0, return_inverse=True)
+    shapes = [coal.Box(*edges) for edges in cells.edge * sizes]
+    for shape in shapes:
+        shape.setSweptSphereRadius(cells.padding)
+    poses = np.tile(cells.T_parent_cells, (len(low), 1, 1))
+    poses[:, :3, 3] += 0.5 * cells.edge * (low + high) @ cells.T_parent_cells[:3, :3].T
+    for k, T in zip(kind.tolist(), poses, strict=True):
+        yield Solid(name, shapes[k], T)
 
 
 def coal_shape(shape: Shape) -> coal.CollisionGeometry:

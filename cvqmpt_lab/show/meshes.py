@@ -11,8 +11,18 @@ from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.cells import cells_of, merged
 from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere, shape_vertices
+from cvqmpt_lab.scene.shapes import (
+    Box,
+    ConvexMesh,
+    Cylinder,
+    OccupancyMap,
+    PointCloud,
+    Shape,
+    Sphere,
+    shape_vertices,
+)
 
 Colour = tuple[float, float, float]
 
@@ -111,8 +121,18 @@ def shape_mesh(shape: Shape) -> Mesh:
         case PointCloud(points, radius):
             every = -(-len(points) // CLOUD_BALLS)
             return _balls(points[::every], radius * np.sqrt(every), sphere_points=12)
+        case OccupancyMap():
+            return _boxes(*map_boxes(shape))
         case Box() | ConvexMesh():
             return hull_mesh(shape_vertices(shape))
+
+
+def map_boxes(shape: OccupancyMap) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and edges, (b, 3) each [m], of boxes that together are the map's cells without their padding."""
+    cells = cells_of(shape, np.eye(4))
+    assert cells is not None  # nothing is out of reach
+    low, high = (cells.edge * corner + cells.T_parent_cells[:3, 3] for corner in merged(cells.index))
+    return 0.5 * (low + high), high - low
 
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
@@ -163,6 +183,14 @@ def beads(points: np.ndarray, colour: Colour) -> Mesh:
     at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / BEAD_SPACING))
     centres = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
     return _balls(centres, BEAD_RADIUS, sphere_points=24).placed(np.eye(4), colour)
+
+
+def _boxes(centres: np.ndarray, edges: np.ndarray) -> Mesh:
+    """One mesh of boxes with centres (b, 3) and edges (b, 3) [m]."""
+    box = hull_mesh(shape_vertices(Box((1.0, 1.0, 1.0))))
+    corners = (centres[:, None, None] + edges[:, None, None] * box.corners).reshape(-1, 3, 3)
+    normals = np.tile(box.normals, (len(centres), 1, 1))
+    return Mesh(corners, normals, np.ones((len(corners), 3)), np.zeros(len(corners), dtype=int))
 
 
 def _balls(centres: np.ndarray, radius: float, sphere_points: int) -> Mesh:

@@ -21,7 +21,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Shape, Sphere
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
     GOAL_COLOUR,
@@ -33,6 +33,7 @@ from cvqmpt_lab.show.meshes import (
     colour_of,
     hull_mesh,
     is_ground,
+    map_boxes,
     poses_along,
 )
 from cvqmpt_lab.show.plots import Plot, plots_along
@@ -265,6 +266,9 @@ def _archetype(shape: Shape, colour: Colour, opacity: float = 1.0) -> rr.AsCompo
             return rr.Ellipsoids3D(radii=[radius], colors=rgba, fill_mode=solid)
         case PointCloud(points, radius):
             return rr.Points3D(points, radii=radius, colors=rgba)
+        case OccupancyMap():
+            centres, edges = map_boxes(shape)
+            return rr.Boxes3D(centers=centres, sizes=edges, colors=rgba, fill_mode=solid)
         case ConvexMesh(vertices):
             return mesh_archetype(hull_mesh(vertices), colour, opacity)
 

@@ -4,8 +4,6 @@ import time
 
 import numpy as np
 
-from cvqmpt_lab.kernels.collision.geometry import SceneGeometry, scene_geometry
-from cvqmpt_lab.kernels.collision.point_clusters import Cloud
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.search.space_arrays import Space, state_valid, states_valid
 from cvqmpt_lab.planning.collision_arrays import scene_arrays
@@ -13,7 +11,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, PointCloud
 from experiments.bench.timing import Figure, single, timed
 
 STATES = 20_000  # per timed batch
@@ -55,18 +53,11 @@ def bench_collision(problem: PlanningProblem, states: int) -> list[Figure]:
         *_agreement(problem, space, "random", problem.robot.random_configurations(rng, states)),
         *_agreement(problem, space, "near-contact", near_contact(problem, space, rng, states)),
     ]
-    reach = problem.robot.reach
     for count in (10, 100, 1000, 10_000):
-        scene = _random_boxes(count, rng)
-        figures += _crowded(problem, f"{count} boxes", space, lambda scene=scene: scene_arrays(scene, reach))
+        figures += _crowded(problem, f"{count} boxes", space, _random_boxes(count, rng))
     for count in (10**3, 10**4, 10**5, 10**6):
-        clouds = [Cloud(_shell_points(count, rng), 0.005)]
-        figures += _crowded(
-            problem,
-            f"cloud of {count} points",
-            space,
-            lambda clouds=clouds: scene_geometry([], np.full(3, -reach), np.full(3, reach), clouds=clouds),
-        )
+        cloud = SceneObject("cloud", PointCloud(_shell_points(count, rng), 0.005), np.eye(4))
+        figures += _crowded(problem, f"cloud of {count} points", space, Scene("cloud", (cloud,)))
     return figures
 
 
@@ -109,14 +100,14 @@ def _agreement(
     ]
 
 
-def _crowded(problem: PlanningProblem, name: str, space: ConstrainedSpace, build) -> list[Figure]:
+def _crowded(problem: PlanningProblem, name: str, space: ConstrainedSpace, scene: Scene) -> list[Figure]:
     """Building and checking against many obstacles."""
     began = time.perf_counter()
-    geometry: SceneGeometry = build()
+    geometry = scene_arrays(scene, problem.robot.reach)
     seconds = time.perf_counter() - began
     states = problem.robot.random_configurations(np.random.default_rng(1), STATES // 4)
     return [
-        single(f"grid building: {name}", 1e3 * seconds, "ms"),
+        single(f"arrays: {name}", 1e3 * seconds, "ms"),
         _check_time(name, space.arrays._replace(scene=geometry), states),
     ]
 

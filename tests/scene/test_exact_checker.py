@@ -13,9 +13,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.cloud_cells import cloud_cells
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.exact_shapes import octree
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from experiments.suites.place_task import carried_can
@@ -80,9 +78,8 @@ def nearest_obstacle(checker, q):
     """Name of the obstacle closest to a link, None where two links are closer, and the distance [m], by all pairs."""
     nearest, name = checker._own_distance(q), None
     checker._own.update()
-    _, pieces, obstacles = checker._box_gaps()
-    for piece in pieces:
-        for item, obstacle in zip(checker._obstacles, obstacles, strict=True):
+    for piece in checker._own_objects():
+        for item, obstacle in zip(checker._obstacles, checker._world(0.0).objects, strict=True):
             distance = coal.distance(piece, obstacle, coal.DistanceRequest(), coal.DistanceResult())
             if distance < nearest:
                 nearest, name = distance, item.name
@@ -231,7 +228,7 @@ def backends(robot, scene, q):
     ("shift", "radius"), [(0.0, 0.005), (330.0, 0.005), (-1e6, 0.005), (0.0, 1e-6), (0.0, 1e-9)]
 )
 def test_large_clouds_are_seen_wherever_their_origin_lies(panda, shift, radius):
-    """An octree silently drops what lies more than 2^15 cells from its origin: the cloud was free to plan through."""
+    """coal's octrees silently drop what lies more than 2^15 cells from their origin: such clouds were once free."""
     cloud = PointCloud(cluster() + (shift, 0.0, 0.0), radius)
     scene = scene_with(SceneObject("cloud", cloud, pose((-shift, 0.0, 0.0))))
     assert backends(panda, scene, HOME) == (True, True)
@@ -246,14 +243,6 @@ def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
     checker = CollisionChecker(panda, scene)
     assert checker.clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
     assert backends(panda, scene, HOME) == (False, False)
-
-
-def test_every_cell_of_a_cloud_is_in_its_octree():
-    rng = np.random.default_rng(7)
-    for radius, spread in ((0.01, 1.0), (1e-4, 1.0), (0.01, 0.05)):
-        cells = cloud_cells(PointCloud(rng.uniform(-spread, spread, (3000, 3)), radius), np.eye(4))
-        boxes = np.array(octree(cells).toBoxes())
-        assert np.round((boxes[:, 3] / cells.edge) ** 3).sum() == len(cells.centres)
 
 
 def test_ten_thousand_obstacles_are_ready_in_two_seconds(panda):

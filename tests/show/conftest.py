@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
@@ -19,6 +19,7 @@ def every_shape():
         Sphere(0.2),
         ConvexMesh(CORNERS),
         PointCloud(CORNERS, 0.05),
+        OccupancyMap(CORNERS, 0.1),
     )
 
 

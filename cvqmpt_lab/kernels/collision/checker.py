@@ -9,7 +9,7 @@ finite count as collisions.
 import numpy as np
 
 from cvqmpt_lab.kernels.collision.distance_grid import cell_of, known_distance
-from cvqmpt_lab.kernels.collision.separation import compose, point_separated, separated
+from cvqmpt_lab.kernels.collision.separation import box_separated, compose, separated
 from cvqmpt_lab.kernels.compiling import kernel
 
 FREE = -1
@@ -73,15 +73,37 @@ def _way_out(bounds, i, x, y, z):
     )
 
 
+@kernel(inline="machine")
+def _outside(x, half):
+    """How far, with its sign, a coordinate lies outside [-half, half]; zero inside."""
+    return x - min(max(x, -half), half)
+
+
 @kernel
-def _touches_points(pieces, piece, points, first, last, radius, pose, centre, reach, margin):
-    """Whether a piece comes within margin of a ball around one of points[first:last]; pose: world in link."""
-    for k in range(first, last):
-        p = _moved(pose, points[k, 0], points[k, 1], points[k, 2])
-        axis = (centre[0] - p[0], centre[1] - p[1], centre[2] - p[2])
-        if axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] > (reach + radius) * (reach + radius):
+def _touches_grain(pieces, piece, scene, item, pose, centre, reach, margin):
+    """Whether a piece comes within margin of a grain of an item; pose: world in link.
+
+    centre, reach: a ball that holds the piece and the margin, in the link's frame.
+    """
+    frame = compose(scene.shapes.rotation[item], scene.shapes.translation[item], pose)
+    radius = scene.bounds[item, 15]
+    dx, dy, dz = centre[0] - frame[9], centre[1] - frame[10], centre[2] - frame[11]
+    x = frame[0] * dx + frame[3] * dy + frame[6] * dz
+    y = frame[1] * dx + frame[4] * dy + frame[7] * dz
+    z = frame[2] * dx + frame[5] * dy + frame[8] * dz
+    for k in range(scene.grain_start[item], scene.grain_start[item + 1]):
+        grain = scene.grains[k]
+        half = (grain[3], grain[4], grain[5])
+        a, b, c = (
+            _outside(x - grain[0], half[0]),
+            _outside(y - grain[1], half[1]),
+            _outside(z - grain[2], half[2]),
+        )
+        if a * a + b * b + c * c > (reach + radius) * (reach + radius):
             continue
-        if not point_separated(pieces, piece, p, radius, axis, margin):
+        p = _moved(frame, grain[0], grain[1], grain[2])
+        axis = (centre[0] - p[0], centre[1] - p[1], centre[2] - p[2])
+        if not box_separated(pieces, piece, half, radius, frame[:9] + p, axis, margin):
             return True
     return False
 
@@ -113,11 +135,9 @@ def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, m
         )
         if separated(robot.pieces, piece, scene.shapes, i, pose, axis, margin):
             continue
-        a, b = scene.point_start[i], scene.point_start[i + 1]
         centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-        if a == b or _touches_points(
-            robot.pieces, piece, scene.points, a, b, scene.bounds[i, 15], pose, centre, reach, margin
-        ):
+        solid = scene.grain_start[i] == scene.grain_start[i + 1]
+        if solid or _touches_grain(robot.pieces, piece, scene, i, pose, centre, reach, margin):
             return i
     return FREE
 

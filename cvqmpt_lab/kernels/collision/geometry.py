@@ -2,7 +2,7 @@
 
 A *piece* is a convex part of a robot geometry; a *body* is a set of geometries on one link that are checked
 against the same others; it is walked as one tree of balls. An *item* is an obstacle, or a box around a
-handful of neighbouring points of a cloud.
+handful of neighbouring grains of a cloud.
 """
 
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.kernels.collision.clusters import Cloud, Clusters, cluster_grains
 from cvqmpt_lab.kernels.collision.distance_grid import (
     CENTRE,
     COLUMNS,
@@ -19,7 +20,6 @@ from cvqmpt_lab.kernels.collision.distance_grid import (
     DistanceGrid,
     distance_grid,
 )
-from cvqmpt_lab.kernels.collision.point_clusters import Cloud, PointClusters, cluster_points
 from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline, pack_shapes
 from cvqmpt_lab.kernels.collision.sphere_cover import (
@@ -62,7 +62,7 @@ class RobotGeometry(NamedTuple):
 
 
 class SceneGeometry(NamedTuple):
-    """Obstacles and clusters of cloud points, with their grid."""
+    """Obstacles and clusters of a cloud's grains, with their grid."""
 
     shapes: ConvexShapes
     """All items."""
@@ -70,10 +70,10 @@ class SceneGeometry(NamedTuple):
     """Oriented boxes around them, see `distance_grid`."""
     owner: Annotated[np.ndarray, "int64 items"]
     """Obstacle of each item; clouds are counted after the shapes."""
-    point_start: Annotated[np.ndarray, "int64 ranges"]
-    """Range of each item's points; empty for a shape, which is solid."""
-    points: Annotated[np.ndarray, "points 3"]
-    """[m]."""
+    grain_start: Annotated[np.ndarray, "int64 ranges"]
+    """Range of each item's grains; empty for a shape, which is solid."""
+    grains: Annotated[np.ndarray, "grains 6"]
+    """Boxes in the frames of their items: centres and half edges [m]."""
     grid: DistanceGrid
     """Distances over the robot's reach."""
     reach: float
@@ -186,13 +186,13 @@ def scene_geometry(
     clouds: Sequence[Cloud] = (),
     reach: float = REACH,
 ) -> SceneGeometry:
-    """Return obstacles and clouds (in the world frame) with a grid over the box lower..upper (3,) [m].
+    """Return obstacles and clouds with a grid over the box lower..upper (3,) [m].
 
     Balls outside the grid, or larger than reach, are compared with every item: correct, but slow.
     Raises InvalidInputError for poses, vertices or points that are not finite, and for empty meshes.
     """
     solid = pack_shapes(specs)
-    clusters = cluster_points(clouds, cell)
+    clusters = cluster_grains(clouds, cell)
     shapes = _with_boxes(solid, clusters)
     bounds = np.concatenate([_bounds(specs).reshape(-1, COLUMNS), _box_bounds(clusters)])
     count = len(specs)
@@ -200,8 +200,8 @@ def scene_geometry(
         shapes=shapes,
         bounds=bounds,
         owner=np.concatenate([np.arange(count), count + clusters.cloud]).astype(np.int64),
-        point_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
-        points=clusters.points,
+        grain_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
+        grains=clusters.grains,
         grid=distance_grid(bounds, lower, upper, cell, reach),
         reach=float(reach),
     )
@@ -226,19 +226,13 @@ def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
     return rows
 
 
-def _box_bounds(clusters: PointClusters) -> np.ndarray:
+def _box_bounds(clusters: Clusters) -> np.ndarray:
     """The boxes of clusters as bounds (n, COLUMNS)."""
-    rows = np.zeros((len(clusters.cloud), COLUMNS))
-    rows[:, [0, 4, 8]] = 1.0
-    rows[:, CENTRE:HALF], rows[:, HALF:SWELLING], rows[:, SWELLING] = (
-        clusters.centre,
-        clusters.half,
-        clusters.radius,
-    )
-    return rows
+    n = len(clusters.cloud)
+    return np.column_stack([clusters.rotation.reshape(n, 9), clusters.centre, clusters.half, clusters.radius])
 
 
-def _with_boxes(shapes: ConvexShapes, clusters: PointClusters) -> ConvexShapes:
+def _with_boxes(shapes: ConvexShapes, clusters: Clusters) -> ConvexShapes:
     """Shapes followed by the boxes of clusters."""
     n = len(clusters.cloud)
     if n == 0:
@@ -248,7 +242,7 @@ def _with_boxes(shapes: ConvexShapes, clusters: PointClusters) -> ConvexShapes:
         kind=np.concatenate([shapes.kind, np.full(n, BOX, dtype=np.int64)]),
         size=np.concatenate([shapes.size, clusters.half]),
         radius=np.concatenate([shapes.radius, clusters.radius]),
-        rotation=np.concatenate([shapes.rotation, np.tile(np.eye(3), (n, 1, 1))]),
+        rotation=np.concatenate([shapes.rotation, clusters.rotation]),
         translation=np.concatenate([shapes.translation, clusters.centre]),
         vertex_start=np.concatenate([shapes.vertex_start, none]),
         vertex_count=np.concatenate([shapes.vertex_count, none]),

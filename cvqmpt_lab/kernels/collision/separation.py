@@ -205,10 +205,11 @@ def distance(a, i, b, j, pose, axis, tolerance):
 
 
 @kernel(inline="machine")
-def point_separated(a, i, point, radius, axis, margin):
-    """Return whether a slab wider than margin [m] separates shape i of a from a ball.
+def box_separated(a, i, half, radius, pose, axis, margin):
+    """Return whether a slab wider than margin [m] separates shape i of a from a swelled box.
 
-    point, radius: centre (3 floats, in the frame of a's owner) and radius of the ball [m].
+    half, radius: half edges (3 floats) and swelling of the box [m]; of a ball the edges are zero.
+    pose: of the box in the frame of a's owner (12-tuple).
     """
     swelling = a.radius[i] + radius
     start, count = a.vertex_start[i], a.vertex_count[i]
@@ -219,7 +220,6 @@ def point_separated(a, i, point, radius, axis, margin):
     )
     size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
     pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
-    pose_b = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, point[0], point[1], point[2])
     limit = margin + swelling
     gap = _gjk(
         a.kind[i],
@@ -228,12 +228,12 @@ def point_separated(a, i, point, radius, axis, margin):
         y,
         z,
         pose_a,
-        np.int64(SPHERE),
-        (0.0, 0.0, 0.0),
+        np.int64(BOX),
+        half,
         x,
         y,
         z,
-        pose_b,
+        pose,
         axis,
         limit,
         limit,

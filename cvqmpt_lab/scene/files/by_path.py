@@ -1,7 +1,8 @@
 """Shapes that a json file names by path, put where they are named.
 
-`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type": "mesh_file", "path":
-"shelf.stl", "scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes several objects, "shelf/0", "shelf/1", ...
+`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type": "map_file", "path":
+"scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl", "scale": 0.001}` a ConvexMesh; a mesh that is
+not convex becomes several objects, "shelf/0", "shelf/1", ...
 """
 
 import logging
@@ -10,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.codec.plain import from_plain, located
-from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MeshFile
-from cvqmpt_lab.scene.shapes import ConvexMesh, PointCloud
+from cvqmpt_lab.scene.cells import map_of_points
+from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MapFile, MeshFile
+from cvqmpt_lab.scene.shapes import ConvexMesh, OccupancyMap, PointCloud
 
 log = logging.getLogger(__name__)
 
@@ -75,15 +77,20 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
     return found, pieces
 
 
-def _shapes(named: CloudFile | MeshFile, folder: Path) -> Iterator[PointCloud | ConvexMesh]:
+def _shapes(
+    named: CloudFile | MapFile | MeshFile, folder: Path
+) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
     """What a file holds."""
     path = folder / named.path
-    if isinstance(named, CloudFile):
+    if not isinstance(named, MeshFile):
         from cvqmpt_lab.scene.files.clouds import read_cloud
 
         cloud = read_cloud(path, named.scale)
         log.info("%s: %d points, %d left out that were not finite", path, len(cloud.points), cloud.dropped)
-        yield PointCloud(cloud.points, named.radius)
+        if isinstance(named, MapFile):
+            yield map_of_points(cloud.points, named.resolution, named.padding)
+        else:
+            yield PointCloud(cloud.points, named.radius)
         return
     from cvqmpt_lab.scene.files.meshes import read_mesh  # its parser takes 0.3 s to import
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
@@ -10,12 +9,11 @@ from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.cloud_cells import MOST_BALLS, cloud_cells
+from cvqmpt_lab.scene.cells import MOST_BALLS
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.exact_shapes import octree
 from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from experiments.suites.place_task import carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
@@ -152,7 +150,7 @@ TURNED[:3, :3] = TURNED[:3, :3] @ [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 
 
 
 @pytest.mark.parametrize("T", [pose((0.0, 0.0, 0.4)), TURNED], ids=["straight", "turned"])
-@pytest.mark.parametrize("count", [300, MOST_BALLS + 1000], ids=["balls", "octree"])
+@pytest.mark.parametrize("count", [300, MOST_BALLS + 1000], ids=["balls", "cells"])
 def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     rng = np.random.default_rng(3)
     scene = Scene("cloud", (SceneObject("cloud", PointCloud(shell(rng, count), 0.005), T),))
@@ -164,32 +162,22 @@ def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     assert (answers & ~expected)[:1000].mean() < 0.02
 
 
-@pytest.mark.parametrize(
-    "on_border",
-    [
-        False,
-        True,
-    ],
-)
-def test_cells_of_large_clouds_are_the_octree_s(panda, on_border):
-    """Points on a regular grid, as voxel filters make them, lie on the borders of cells."""
-    rng, radius = np.random.default_rng(4), 0.015
-    points = shell(rng, MOST_BALLS + 1000)
-    if on_border:
-        points = np.round(points / (2.0 * radius)) * (2.0 * radius)
-    cloud = PointCloud(points, radius)
-    cells = cloud_cells(cloud, np.eye(4), 1.2)
-    boxes = np.array(octree(cells).toBoxes())
-    assert (
-        np.round((boxes[:, 3] / cells.edge) ** 3).sum()
-        == len(cells.centres)
-        == len(np.unique(cells.centres, axis=0))
-    )
-    centres = (
-        boxes[boxes[:, 3] < 1.5 * cells.edge, :3] + cells.T_parent_cells[:3, 3]
-    )  # those not merged with others
-    arrays = scene_arrays(Scene("cloud", (SceneObject("cloud", cloud, np.eye(4)),)), 1.2)
-    assert KDTree(arrays.points).query(centres)[0].max() < 1e-9
+@pytest.mark.parametrize("padding", [0.0, 0.03])
+@pytest.mark.parametrize("T", [pose((0.0, 0.0, 0.4)), TURNED], ids=["straight", "turned"])
+def test_maps_are_the_same_to_both_checkers(panda, T, padding):
+    """Also where a coarse wall and solid blocks are joined to large boxes."""
+    rng = np.random.default_rng(5)
+    scattered = np.floor(shell(rng, 600) / 0.02)
+    wall = np.argwhere(np.ones((2, 40, 30), dtype=bool)) + (22, -20, -10)
+    cells = np.concatenate([scattered, wall, np.argwhere(np.ones((6, 6, 6), dtype=bool)) - (25, 3, 0)])
+    scene = Scene("map", (SceneObject("map", OccupancyMap(cells, 0.02, padding), T),))
+    compare(panda, scene, 2000, margin=1e-4)
+
+
+def test_a_carried_cloud_is_the_same_to_both_checkers(panda):
+    """Only the first of its balls was once checked."""
+    cloud = PointCloud(np.random.default_rng(6).uniform(-0.05, 0.05, (200, 3)), 0.006)
+    compare(panda, random_scene(5), 1000, (Attachment("sponge", cloud, pose((0.0, 0.0, 0.16), 0.4)),))
 
 
 def test_clouds_with_nan_are_refused():

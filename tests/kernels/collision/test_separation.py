@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
+from cvqmpt_lab.kernels.collision.clusters import MOST_GRAINS, Cloud, cluster_grains
 from cvqmpt_lab.kernels.collision.distance_grid import RANGE, cell_of, known_distance
 from cvqmpt_lab.kernels.collision.geometry import robot_geometry, scene_geometry
-from cvqmpt_lab.kernels.collision.point_clusters import MOST_POINTS, Cloud, cluster_points
 from cvqmpt_lab.kernels.collision.separation import (
     BOX,
     CYLINDER,
@@ -33,6 +33,11 @@ def pose(R=None, t=(0.0, 0.0, 0.0)):
     T[:3, :3] = np.eye(3) if R is None else R
     T[:3, 3] = t
     return T
+
+
+def balls(points, radius):
+    """A cloud of balls around points (k, 3)."""
+    return Cloud(points, np.zeros_like(points), radius, pose())
 
 
 def random_spec(rng, kind, spread=0.25, longest=0.2):
@@ -193,8 +198,8 @@ def test_grid_lists_every_obstacle_near_a_point():
 def random_scene(rng):
     specs = [random_spec(rng, int(kind), 0.4, 0.15) for kind in rng.integers(0, 4, 10)]
     clouds = [
-        Cloud(rng.normal(size=(100, 3)) * (0.01, 0.1, 0.1) + (0.3, 0.0, 0.0), 0.004),
-        Cloud(rng.normal(size=(40, 3)) * 0.05 - (0.3, 0.3, 0.0), 0.01),
+        balls(rng.normal(size=(100, 3)) * (0.01, 0.1, 0.1) + (0.3, 0.0, 0.0), 0.004),
+        balls(rng.normal(size=(40, 3)) * 0.05 - (0.3, 0.3, 0.0), 0.01),
     ]
     return specs, clouds
 
@@ -204,7 +209,7 @@ def coal_scene(specs, clouds):
     objects = [[coal_object(spec)] for spec in specs]
     for cloud in clouds:
         ball = coal.Sphere(cloud.radius)
-        objects.append([(ball, coal.Transform3s(np.eye(3), point)) for point in cloud.points])
+        objects.append([(ball, coal.Transform3s(np.eye(3), point)) for point in cloud.centre])
     return objects
 
 
@@ -302,23 +307,37 @@ def test_a_pose_that_is_not_finite_is_a_collision():
         assert first_contact(R, p, geometry, empty, MARGIN)[0] != FREE
 
 
-def test_clusters_keep_every_point():
+def test_clusters_keep_every_grain():
     rng = np.random.default_rng(11)
+    turned = pose(Rotation.from_rotvec((0.3, -0.7, 0.2)).as_matrix(), (0.1, 0.2, -3.0))
     clouds = [
-        Cloud(rng.normal(size=(5000, 3)), 0.01),
-        Cloud(np.empty((0, 3)), 0.01),
-        Cloud(np.ones((50, 3)), 0.0),
+        Cloud(rng.normal(size=(5000, 3)), rng.uniform(0.0, 0.01, (5000, 3)), 0.01, turned),
+        balls(np.empty((0, 3)), 0.01),
+        balls(np.ones((50, 3)), 0.0),
+        balls(np.array([[2.0, 3.0, 4.0]]), 0.1),
     ]
-    clusters = cluster_points(clouds, 0.05)
+    clusters = cluster_grains(clouds, 0.05)
     sizes = np.diff(clusters.start)
-    assert sizes.min() >= 1
-    assert sizes.max() <= MOST_POINTS
-    assert clusters.half.max() <= 0.025 + 1e-9
+    assert sizes.max() == MOST_GRAINS and 1 not in sizes
+    assert clusters.half.max() <= 0.025 + 0.01 + 1e-9
     owner = np.repeat(np.arange(len(sizes)), sizes)
-    assert np.all(np.abs(clusters.points - clusters.centre[owner]) <= clusters.half[owner])
+    beyond = np.abs(clusters.grains[:, :3]) + clusters.grains[:, 3:] - clusters.half[owner]
+    assert beyond.max() <= 0.0
     for number, cloud in enumerate(clouds):
-        mine = clusters.points[clusters.cloud[owner] == number]
-        assert np.array_equal(np.sort(mine, axis=0), np.sort(cloud.points, axis=0))
+        R, t = cloud.T_world_cloud[:3, :3], cloud.T_world_cloud[:3, 3]
+        of_grain = clusters.cloud[owner] == number
+        inside = (clusters.centre[owner[of_grain]] - t) @ R + clusters.grains[of_grain, :3]
+        single = (clusters.cloud == number) & (sizes == 0)
+        grains = np.concatenate(
+            [
+                np.column_stack([inside, clusters.grains[of_grain, 3:]]),
+                np.column_stack([(clusters.centre[single] - t) @ R, clusters.half[single]]),
+            ]
+        )
+        expected = np.column_stack([cloud.centre, cloud.half])
+        assert np.allclose(
+            *(rows[np.lexsort(rows[:, :3].round(9).T)] for rows in (grains, expected)), atol=1e-11
+        )
 
 
 @pytest.mark.parametrize(
@@ -327,8 +346,8 @@ def test_clusters_keep_every_point():
         ([ShapeSpec(HULL, (), NO_VERTICES, pose())], [], "0 vertices"),
         ([ShapeSpec(HULL, (), np.full((4, 3), np.nan), pose())], [], "not finite"),
         ([ShapeSpec(BOX, (1.0, 1.0, 1.0), NO_VERTICES, pose(t=(np.nan, 0, 0)))], [], "not finite"),
-        ([], [Cloud(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.01)], "point 1"),
-        ([], [Cloud(np.zeros((3, 3)), -1.0)], "radius -1.0"),
+        ([], [balls(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.01)], "point 1"),
+        ([], [balls(np.zeros((3, 3)), -1.0)], "radius -1.0"),
     ],
 )
 def test_invalid_scenes_are_refused(specs, clouds, message):

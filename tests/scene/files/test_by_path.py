@@ -29,6 +29,7 @@ def data(problem, tmp_path):
             item_of("scan", type="cloud_file", path="parts/scan.npy", radius=0.01),
             item_of("ring", type="mesh_file", path="parts/ring.stl", scale=0.001),
             item_of("crate", type="mesh_file", path="parts/box.obj"),
+            item_of("room", type="map_file", path="parts/scan.npy", padding=0.01),
         ],
     }
     return plain
@@ -46,6 +47,8 @@ def saved(data, tmp_path):
 def test_files_become_objects(data, tmp_path):
     scene = PlanningProblem.load(saved(data, tmp_path)).scene
     assert scene["scan"].shape == PointCloud(POINTS, 0.01)
+    room = scene["room"].shape
+    assert np.array_equal(room.cells, np.unique(np.floor(POINTS / 0.02), axis=0)) and room.padding == 0.01
     assert isinstance(scene["crate"].shape, ConvexMesh)
     ring = [item for item in scene if item.name.startswith("ring/")]
     assert len(ring) > 4 and all(isinstance(item.shape, ConvexMesh) for item in ring)
@@ -88,7 +91,7 @@ def test_the_hand_may_carry_a_mesh(data, tmp_path):
 )
 def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, message):
     data["scene"]["objects"].append(item_of("bad", **shape))
-    with pytest.raises(InvalidInputError, match=rf"problem\.json: scene\.objects\[3\]\.shape: .*{message}"):
+    with pytest.raises(InvalidInputError, match=rf"problem\.json: scene\.objects\[4\]\.shape: .*{message}"):
         PlanningProblem.load(saved(data, tmp_path))
 
 

@@ -1,0 +1,119 @@
+"""An occupancy map from measured points: cells that hold some, and, if asked to, cells that nobody looked into."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cvqmpt_lab.codec.forms import FloatArray
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.cells import distinct, map_of_points
+from cvqmpt_lab.scene.shapes import OccupancyMap
+from cvqmpt_lab.sensing.filters import near_robot
+from cvqmpt_lab.sensing.scan import Arm, Capture
+
+MOST_CELLS = 1 << 27
+"""Of the box in which unknown cells are looked for; one byte each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSettings:
+    """How a map is made."""
+
+    resolution: float = 0.02
+    """Edge of its cells [m]."""
+    padding: float = 0.0
+    """Distance by which cells are swelled [m]."""
+    unknown: Literal["free", "occupied"] = "free"
+    """What cells are that no ray crossed, inside the box below; `free` is what MoveIt plans with."""
+    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
+    """Corner of the box in which cells can be unknown [m, robot base frame]."""
+    upper: tuple[float, float, float] = (1.2, 1.2, 1.4)
+    """Opposite corner [m]."""
+    robot_margin: float = 0.05
+    """Cells this near to the robot are no unknown ones [m]."""
+
+    def __post_init__(self) -> None:
+        if not np.all(np.subtract(self.upper, self.lower) >= self.resolution):
+            raise InvalidInputError(
+                f"box of a map from {self.lower} to {self.upper} m holds no cell of {self.resolution:g} m; "
+                "give a lower corner below the upper one"
+            )
+
+
+def occupancy_map(
+    points: FloatArray, settings: MapSettings, captures: Sequence[Capture] = (), arm: Arm | None = None
+) -> OccupancyMap:
+    """Map of the cells that hold points (m, 3) [m, robot base frame], and of those unknown if they count.
+
+    Parameters
+    ----------
+    points: what is left of a scan after filters.
+    captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its points are known.
+    arm: the robot while they looked; it stands in known space.
+
+    Raises
+    ------
+    InvalidInputError: no cell is occupied; unknown cells without captures, or too many of them.
+    """
+    if settings.unknown == "occupied":
+        points = np.concatenate([points, _unknown(settings, captures, arm)])
+    if len(points) == 0:
+        raise InvalidInputError("no point is left to make a map of; crop less, or plan without a map")
+    return map_of_points(points, settings.resolution, settings.padding)
+
+
+def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None) -> FloatArray:
+    """Middles (k, 3) [m] of cells in the box that no ray crossed."""
+    if not captures:
+        raise InvalidInputError("unknown space is occupied, but nobody said from where the points were seen")
+    first: FloatArray = np.floor(np.divide(settings.lower, settings.resolution))
+    across = (np.ceil(np.divide(settings.upper, settings.resolution)) - first).astype(np.int64)
+    if across.prod() > MOST_CELLS:
+        raise InvalidInputError(
+            f"box from {settings.lower} to {settings.upper} m holds {across.prod():.2g} cells of "
+            f"{settings.resolution:g} m, more than {MOST_CELLS:.2g}; give a smaller box or larger cells"
+        )
+    known = np.zeros(across, dtype=bool)
+    for capture in captures:
+        T = capture.T_world_camera
+        ends = (capture.points @ T[:3, :3].T + T[:3, 3]) / settings.resolution - first
+        least = np.floor(ends.min(axis=0, initial=0.0)).astype(np.int64)
+        ends = (
+            distinct(np.floor(ends).astype(np.int64) - least) + least + 0.5
+        )  # one ray to each cell is enough
+        for crossed in _crossed(T[:3, 3] / settings.resolution - first, ends, across):
+            known[tuple(crossed.T)] = True
+    places = (np.argwhere(~known) + first + 0.5) * settings.resolution
+    if arm is None:
+        return places
+    return places[~near_robot(places, arm.robot, arm.q, settings.robot_margin)]
+
+
+def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterator[np.ndarray]:
+    """Cells (k, 3), of a grid of unit cells, that segments from origin (3,) to ends (r, 3) cross, a step at a time.
+
+    All segments walk from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal algorithm", 1987).
+    """
+    way = ends - origin
+    way[way == 0.0] = 1e-12
+    sides = np.stack([-origin / way, (across - origin) / way])
+    enter = np.maximum(sides.min(axis=0).max(axis=1), 0.0)
+    leave = np.minimum(sides.max(axis=0).min(axis=1), 1.0)
+    through = enter < leave
+    way, enter, leave = way[through], enter[through], leave[through]
+    cell = np.clip(np.floor(origin + enter[:, None] * way).astype(np.int64), 0, across - 1)
+    step = np.where(way > 0.0, 1, -1)
+    border = (
+        cell + (step > 0) - origin
+    ) / way  # share of the way at which the next cell begins, along each axis
+    while len(cell):
+        yield cell
+        rows, axis = np.arange(len(cell)), border.argmin(axis=1)
+        going = border[rows, axis] < leave
+        rows, axis = rows[going], axis[going]
+        cell[rows, axis] += step[rows, axis]
+        border[rows, axis] += 1.0 / np.abs(way[rows, axis])
+        going[rows] = ((cell[rows] >= 0) & (cell[rows] < across)).all(axis=1)
+        cell, border, step, way, leave = (part[going] for part in (cell, border, step, way, leave))

@@ -1,0 +1,124 @@
+"""Maps hold what was seen, unknown space is what no ray crossed, and the truth may differ from both."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.cameras.camera import DepthCamera, Lens
+from cvqmpt_lab.certificate import FaultKind, certify
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.cameras import CameraSettings, visible_points
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Sphere
+from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
+from cvqmpt_lab.sensing.scan import Arm, Capture
+
+EYE = np.array([-1.0, 0.05, 0.45])
+WALL = Box((0.1, 0.6, 0.4))
+ROOM = MapSettings(unknown="occupied", lower=(-0.5, -0.5, 0.0), upper=(1.0, 0.5, 0.8))
+
+
+def grid(spacing, x, half=0.5, height=0.8):
+    """Points on a plane across the view, all the way behind or on the wall."""
+    y, z = np.meshgrid(np.arange(-half, half, spacing), np.arange(0.0, height, spacing))
+    return np.column_stack([np.full(y.size, x), y.ravel(), z.ravel()])
+
+
+def looked_at(scanned, places):
+    """Whether each place (k, 3) [m] is in an occupied cell."""
+    taken = {tuple(cell) for cell in scanned.cells.astype(int)}
+    return [tuple(cell) in taken for cell in np.floor(np.array(places) / scanned.resolution).astype(int)]
+
+
+def test_cells_hold_every_point_and_nothing_else():
+    points = np.random.default_rng(0).normal(0.0, 0.3, (5000, 3))
+    scanned = occupancy_map(points, MapSettings(resolution=0.05, padding=0.01))
+    assert all(looked_at(scanned, points)) and scanned.padding == 0.01
+    assert np.array_equal(scanned.cells, np.unique(np.floor(points / 0.05), axis=0))
+
+
+def sight(origin, points):
+    """What a camera at origin (3,) saw of points (m, 3) in the world."""
+    return Capture(points - origin, T_world_camera=pose(origin))
+
+
+def test_unknown_is_what_lies_behind(panda):
+    """A plate at x = 0.2, seen from x = -1: free before it, unknown behind it, known beside its shadow."""
+    plate, back = grid(0.01, 0.2, half=0.15, height=0.3), grid(0.01, 1.5, half=2.0, height=2.0)
+    way = (back - EYE) * ((0.2 - EYE[0]) / (1.5 - EYE[0]))
+    hidden = (np.abs(EYE[1] + way[:, 1]) < 0.16) & (EYE[2] + way[:, 2] < 0.31)
+    seen = [sight(EYE, np.concatenate([plate, back[~hidden]]))]
+    scanned = occupancy_map(plate, ROOM, seen)
+    before, on, behind, above = (0.0, 0.0, 0.2), (0.205, 0.0, 0.1), (0.5, 0.0, 0.1), (0.5, 0.0, 0.7)
+    assert looked_at(scanned, [before, on, behind, above]) == [False, True, True, False]
+    q = np.array([0.0, 0.9, 0.0, -1.9, 0.0, 2.8, 0.8])
+    hand = panda.pose(q)[:3, 3]
+    assert 0.3 < hand[0] < 0.7 and looked_at(scanned, [hand]) == [True]
+    spared = occupancy_map(plate, ROOM, seen, Arm(panda, q))
+    assert looked_at(spared, [hand, on, (0.95, 0.0, 0.05)]) == [False, True, True]
+
+
+def test_rays_cross_what_fine_samples_of_them_are_in():
+    rng = np.random.default_rng(1)
+    ends = rng.uniform(-2.0, 2.0, (40, 3))
+    origin = np.array([0.31, -0.12, 0.4])
+    scanned = occupancy_map(np.empty((0, 3)), ROOM, [sight(origin, ends)])
+    to_cells = (np.floor(ends / 0.02) + 0.5) * 0.02
+    walked = origin + np.linspace(0.0, 1.0, 4000)[:, None, None] * (to_cells - origin)
+    inside = ((walked > np.array(ROOM.lower) + 1e-6) & (walked < np.array(ROOM.upper) - 1e-6)).all(axis=-1)
+    assert inside.sum() > 1000 and not any(looked_at(scanned, walked[inside]))
+    box = np.prod(np.round(np.subtract(ROOM.upper, ROOM.lower) / 0.02))
+    few = len(np.unique(np.floor(walked[inside] / 0.02), axis=0))
+    assert 0.97 * few <= box - len(scanned.cells) <= 1.1 * few
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (MapSettings(), "no point is left"),
+        (ROOM, "nobody said from where"),
+        (MapSettings(unknown="occupied", resolution=1e-3, upper=(50.0, 50.0, 50.0)), "smaller box or larger"),
+    ],
+)
+def test_maps_that_cannot_be_are_refused(settings, message):
+    captures = [sight(EYE, np.ones((1, 3)))] if settings.resolution < 0.02 else []
+    with pytest.raises(InvalidInputError, match=message):
+        occupancy_map(np.empty((0, 3)), settings, captures)
+
+
+def test_boxes_turned_inside_out_are_refused():
+    with pytest.raises(InvalidInputError, match="lower corner below the upper"):
+        MapSettings(lower=(1.0, 0.0, 0.0), upper=(0.0, 1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """A wall beside the arm, and a ball behind it that the camera does not see."""
+    wall = SceneObject("wall", WALL, pose((0.55, 0.0, 0.2)))
+    return Scene("truth", (wall, SceneObject("ball", Sphere(0.08), pose((0.75, 0.0, 0.3)))))
+
+
+def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth):
+    """Planned over what one camera saw; the same path is then judged in the scene as it is."""
+    camera = CameraSettings(
+        cameras=(DepthCamera((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2)),), lens=Lens(near=0.1), voxel=None
+    )
+    points = visible_points(truth, camera, np.random.default_rng(0))
+    scanned = occupancy_map(points, MapSettings(padding=0.01))
+    left, right = (np.array([s * 0.9, 0.5, 0.0, -1.9, 0.0, 2.3, 0.8]) for s in (1.0, -1.0))
+    seen = Scene("map", (SceneObject("map", scanned, np.eye(4)),))
+    problem = PlanningProblem("over the wall", panda, seen, left, right[None])
+    solution = solve(problem, "birrt", Budget(seconds=5.0), seed=0)
+    assert solution.solved
+    path = solution.simplified.path
+    assert certify(replace(problem, scene=truth), path).valid
+    tip = panda.pose(path.states[len(path.states) // 2])[:3, 3]
+    hidden = truth.with_objects(SceneObject("lamp", Sphere(0.05), pose(tip)))
+    assert FaultKind.COLLISION in [
+        fault.kind for fault in certify(replace(problem, scene=hidden), path).faults
+    ]
