@@ -17,7 +17,7 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.motion_proof import MotionProof, prove_free
 
 SPACING = 0.11  # [rad] between states at which the constraint is looked at first
-TOLERANCE = 1e-3  # [m, rad] constraint violation allowed
+TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too
 LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
 END_TOLERANCE = 1e-6  # [rad] at start and goal
 CLEARANCE_STATES = 8  # distances are measured at this many states, where the proof had least room
@@ -40,6 +40,8 @@ class Fault(NamedTuple):
 
     kind: FaultKind
     text: str
+    at: float | None = None
+    """Where, as the number of a state; 12.5 is half-way from state 12 to 13. None for all of the path."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class Certificate:
     """Configurations at which distances were compared."""
     unproven_rad: float = 0.0
     """Longest stretch whose middle is free although its freedom could not be proven [rad]; 0 when there is none."""
+    unproven_at: np.ndarray | None = None
+    """(n,), the middle of that stretch."""
 
     @property
     def valid(self) -> bool:
@@ -76,20 +80,37 @@ def certify(
     """Judge every state of a path: collision, limits, constraint; and its step size, start and goal."""
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
-    if unusable:
-        return Certificate((Fault(FaultKind.SHAPE, unusable),), np.nan, np.nan, np.nan, 0)
+    if unusable is not None:
+        return Certificate((unusable,), np.nan, np.nan, np.nan, 0)
     violation = largest_violation(problem.robot, problem.constraint, path.states, SPACING, TOLERANCE)
     proof = prove_free(checker, path.states)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.largest > TOLERANCE:
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
-        faults.append(Fault(FaultKind.MANIFOLD, text))
+        faults.append(Fault(FaultKind.MANIFOLD, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
-        faults.append(Fault(FaultKind.COLLISION, f"in collision: {checker.colliding_pair(proof.colliding)}"))
-    closest = _clearance(checker, proof) if clearance else np.nan
+        text = f"in collision: {checker.colliding_pair(proof.colliding)}"
+        faults.append(Fault(FaultKind.COLLISION, text, _place(path.states, proof.colliding)))
     return Certificate(
-        tuple(faults), violation.radians, violation.metres, closest, proof.looks, proof.unproven
+        tuple(faults),
+        violation.radians,
+        violation.metres,
+        _clearance(checker, proof) if clearance else np.nan,
+        proof.looks,
+        proof.unproven,
+        proof.unproven_at,
     )
+
+
+def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
+    """Where on a path (m, n) a configuration (n,) lies, as `Fault.at`."""
+    if q is None:
+        return None
+    steps = np.diff(states, axis=0)
+    squared = np.maximum(np.einsum("kj,kj->k", steps, steps), np.finfo(float).tiny)
+    share = np.clip(np.einsum("kj,kj->k", q - states[:-1], steps) / squared, 0.0, 1.0)
+    off = np.linalg.norm(states[:-1] + share[:, None] * steps - q, axis=1)
+    return float(off.argmin() + share[off.argmin()])
 
 
 def _clearance(checker: CollisionChecker, proof: MotionProof) -> float:
@@ -98,32 +119,38 @@ def _clearance(checker: CollisionChecker, proof: MotionProof) -> float:
     return min(checker.clearance(q) for q in places)
 
 
-def _unusable(problem: PlanningProblem, states: np.ndarray) -> str | None:
+def _unusable(problem: PlanningProblem, states: np.ndarray) -> Fault | None:
     """Why states are no path at all, or None."""
     if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
-        return f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
-    return None if np.isfinite(states).all() else "a state is not finite"
+        text = f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
+        return Fault(FaultKind.SHAPE, text)
+    finite = np.isfinite(states).all(axis=1)
+    return None if finite.all() else Fault(FaultKind.SHAPE, "a state is not finite", float(finite.argmin()))
 
 
 def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     faults = []
     if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE:
-        faults.append(Fault(FaultKind.START, "does not begin at the start"))
+        faults.append(Fault(FaultKind.START, "does not begin at the start", 0.0))
     end = path.states[-1]
     at_goal = len(problem.goals) > 0 and np.abs(problem.goals - end).max(axis=1).min() <= END_TOLERANCE
     if not at_goal and problem.goal_region is not None:
         there = largest_violation(problem.robot, (problem.goal_region,), end[None], SPACING, TOLERANCE)
         at_goal = there.largest <= TOLERANCE
-    return faults if at_goal else [*faults, Fault(FaultKind.GOAL, "does not end at a goal")]
+    if at_goal:
+        return faults
+    return [*faults, Fault(FaultKind.GOAL, "does not end at a goal", len(path.states) - 1.0)]
 
 
 def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
-    faults = []
-    largest = np.linalg.norm(np.diff(path.states, axis=0), axis=1).max(initial=0.0)
-    if largest > LARGEST_STEP:
-        faults.append(Fault(FaultKind.STEP, f"a step of {largest:.3f} rad"))
-    for q in (path.states.min(axis=0), path.states.max(axis=0)):
-        outside = problem.robot.joint_outside_limits(q)
-        if outside is not None:
-            faults.append(Fault(FaultKind.LIMITS, f"{outside[0]} leaves its limits by {outside[1]:.2g}"))
+    faults, states = [], path.states
+    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    if steps.max() > LARGEST_STEP:
+        faults.append(Fault(FaultKind.STEP, f"a step of {steps.max():.3f} rad", float(steps.argmax())))
+    beyond = np.maximum(problem.robot.lower - states, states - problem.robot.upper).max(axis=1)
+    worst = int(beyond.argmax())
+    outside = problem.robot.joint_outside_limits(states[worst])
+    if outside is not None:
+        text = f"{outside[0]} leaves its limits by {outside[1]:.2g}"
+        faults.append(Fault(FaultKind.LIMITS, text, float(worst)))
     return faults

@@ -1,8 +1,7 @@
 """From a run to its result rows: one of a problem, one for each planned phase of a task."""
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.paths import states_hash
 from cvqmpt_lab.results.phase_name import phase_problem
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line
 from cvqmpt_lab.tasks.phases import PlannedPhase
@@ -56,13 +56,29 @@ class Run:
         return ResultRow(**key, solved=reason is None, fail_reason=reason, detail=one_line(detail), **values)
 
 
-def rows_of(run: Run, item: Item, goal_seconds: float) -> list[ResultRow]:
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What is kept of a run."""
+
+    rows: list[ResultRow]
+    """One, or one a planned phase."""
+    paths: list[np.ndarray] = field(default_factory=list)
+    """States (m, n) of the paths whose hashes stand in the rows [rad or m]."""
+
+
+def outcome_of(run: Run, item: Item, goal_seconds: float) -> Outcome:
     """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner."""
     if isinstance(item, UnsolvableProblem):
-        return failed_rows(run, item, FailReason.NO_START, item.reason)
+        return Outcome(failed_rows(run, item, FailReason.NO_START, item.reason))
     if isinstance(item, Task):
-        return phase_rows(run, solve_task(item, run.method, run.budget, run.seed, backend=run.backend))
-    return [result_row(run, solve(item, run.method, run.budget, run.seed, backend=run.backend), goal_seconds)]
+        task = solve_task(item, run.method, run.budget, run.seed, backend=run.backend)
+        return Outcome(phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes]))
+    solution = solve(item, run.method, run.budget, run.seed, backend=run.backend)
+    return Outcome([result_row(run, solution, goal_seconds)], _states([solution]))
+
+
+def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
+    return [solution.simplified.path.states for solution in solutions if solution.simplified]
 
 
 def failed_rows(run: Run, item: Item, reason: FailReason, detail: str) -> list[ResultRow]:
@@ -120,8 +136,8 @@ def _defined(value: float) -> float | None:
 
 
 def path_hash(path: JointPath) -> str:
-    """sha256 of the states' bytes: equal for bit-for-bit equal paths."""
-    return hashlib.sha256(np.ascontiguousarray(path.states, dtype=np.float64).tobytes()).hexdigest()
+    """What names a path in rows."""
+    return states_hash(path.states)
 
 
 def _phase_problems(task: Task) -> list[str]:

@@ -19,13 +19,13 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.tasks.task import Task
-from experiments.rows import Item, Run, failed_rows, rows_of
+from experiments.rows import Item, Outcome, Run, failed_rows, outcome_of
 from experiments.suites.table import suite_named
 from experiments.warmup import compile_kernels
 from experiments.workers import worker_pool
 
-Outcomes = Generator[tuple[Run, list[ResultRow]], None, list[Run]]
-"""Runs with their rows as they come in; at the end, the runs that were in flight when a worker died."""
+Outcomes = Generator[tuple[Run, Outcome], None, list[Run]]
+"""Runs with what came of them as they come in; at the end, the runs that were in flight when a worker died."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def run_experiment(
         runs, done = experiment.runs, store.done()
         left = [run for run in runs if run.key not in done]
         on_progress(len(runs) - len(left), len(runs), "")
-        for finished, (run, rows) in enumerate(_outcomes(left, jobs), start=len(runs) - len(left) + 1):
-            store.append(rows)
-            failed = next((row for row in rows if not row.solved), None)
+        for finished, (run, outcome) in enumerate(_outcomes(left, jobs), start=len(runs) - len(left) + 1):
+            store.append(outcome.rows, outcome.paths)
+            failed = next((row for row in outcome.rows if not row.solved), None)
             note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
             on_progress(finished, len(runs), f"{run.planner} {note}")
         return store.rows()
@@ -128,8 +128,8 @@ def default_jobs() -> int:
     return os.cpu_count() or 1
 
 
-def _outcomes(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, list[ResultRow]]]:
-    """Rows of every run. When a worker dies, the runs in flight are repeated one by one to find which did it."""
+def _outcomes(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Outcome]]:
+    """What came of every run. When a worker dies, the runs in flight are repeated one by one to find which did it."""
     waiting, suspects = deque(runs), deque[Run]()
     setup = tuple({run.planner: run for run in runs}.values())
     while waiting or suspects:
@@ -138,7 +138,8 @@ def _outcomes(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, list[Result
             continue
         for run in (yield from _in_pool(suspects, 1, 1, setup)):
             item, _ = _item(run.suite, run.item)
-            yield run, failed_rows(run, item, FailReason.WORKER_DIED, "the process that ran it ended")
+            rows = failed_rows(run, item, FailReason.WORKER_DIED, "the process that ran it ended")
+            yield run, Outcome(rows)
 
 
 def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...]) -> Outcomes:
@@ -151,8 +152,8 @@ def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...
                 flying[pool.submit(_run_warm, queue[0], setup)] = queue[0]  # stays queued if that fails
                 queue.popleft()
             for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                rows = future.result()
-                yield flying.pop(future), rows
+                outcome = future.result()
+                yield flying.pop(future), outcome
     except BrokenProcessPool:
         return list(flying.values())
     finally:
@@ -160,17 +161,17 @@ def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...
     return []
 
 
-def _run_warm(run: Run, setup: tuple[Run, ...]) -> list[ResultRow]:
-    """Rows of a run, in a worker that is ready for all planners; a fault of ours costs that run alone."""
+def _run_warm(run: Run, setup: tuple[Run, ...]) -> Outcome:
+    """What comes of a run, in a worker that is ready for all planners; a fault of ours costs that run alone."""
     _warm_up(setup)
     item, seconds = _item(run.suite, run.item)
     try:
-        return rows_of(run, item, seconds)
+        return outcome_of(run, item, seconds)
     except CvqmptError:
         raise
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
-        return failed_rows(run, item, FailReason.PLANNER_ERROR, what)
+        return Outcome(failed_rows(run, item, FailReason.PLANNER_ERROR, what))
 
 
 @lru_cache(maxsize=1)
@@ -180,7 +181,7 @@ def _warm_up(setup: tuple[Run, ...]) -> None:
     for run in setup:
         item, seconds = _item(run.suite, run.item)
         budget = Budget(seconds=5.0, iterations=None if isinstance(item, Task) else 1)
-        rows_of(replace(run, budget=budget), item, seconds)
+        outcome_of(replace(run, budget=budget), item, seconds)
     _item.cache_clear()
 
 

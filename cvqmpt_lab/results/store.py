@@ -6,9 +6,12 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import lock as lock_folder
 from cvqmpt_lab.files import read_bytes, unlock
+from cvqmpt_lab.results.paths import PARTIAL_PATHS, KeptPaths, array_bytes, merge_paths
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import (
     RUNS_FILE,
@@ -25,12 +28,12 @@ PARTIAL_FILE = "runs.partial.csv"
 
 
 class RunStore:
-    """A directory with ``runs.csv`` and ``provenance.json`` that grows run by run.
+    """A directory with ``runs.csv``, ``paths.npz`` and ``provenance.json`` that grows run by run.
 
     One process appends (its workers hand it their rows). The rows of a run are on disk, in
-    ``runs.partial.csv`` with an empty line behind them, before `append` returns; `finish`, or leaving the
-    ``with`` block for any reason, merges them into ``runs.csv``. After a kill the next `open` merges what
-    was left and ignores a run whose rows were cut short.
+    ``runs.partial.csv`` with an empty line behind them, before `append` returns, and its paths before them;
+    `finish`, or leaving the ``with`` block for any reason, merges them into ``runs.csv`` and ``paths.npz``. After a
+    kill the next `open` merges what was left and ignores a run whose rows were cut short.
     """
 
     def __init__(self, directory: Path, lock: int, later_session: Mapping[str, object] | None) -> None:
@@ -38,7 +41,7 @@ class RunStore:
         self.directory = directory
         self._lock: int | None = lock
         self._later_session = later_session  # of a continuation, written with its first row
-        self._partial: io.FileIO | None = None
+        self._partials: dict[str, io.FileIO] = {}
         self._rows: dict[RunKey, ResultRow] = {}
 
     @classmethod
@@ -92,6 +95,7 @@ class RunStore:
     def _recover(self) -> None:
         """Load the merged rows and what an interrupted session left behind, and merge the latter."""
         merged, partial = self.directory / RUNS_FILE, self.directory / PARTIAL_FILE
+        KeptPaths(self.directory)  # refused before hours of work, not after
         if merged.is_file():
             self._rows = {row.key: row for row in read_rows(merged)}
         if partial.is_file():
@@ -99,9 +103,11 @@ class RunStore:
             whole = data[: data.rfind(b"\n\n") + 2] if b"\n\n" in data else b""
             left = parse_rows(partial, whole.decode("utf-8", "replace"), header=False)
             self._rows |= {row.key: row for row in left}
+        if partial.is_file() or (self.directory / PARTIAL_PATHS).is_file():
             self._merge()
 
     def _merge(self) -> None:
+        merge_paths(self.directory, {row.path_sha256 for row in self._rows.values() if row.path_sha256})
         write_rows(self.directory / RUNS_FILE, self._rows.values())
         (self.directory / PARTIAL_FILE).unlink(missing_ok=True)
 
@@ -113,8 +119,10 @@ class RunStore:
         """Runs that need not be run again; a task counts as one run, under its own name."""
         return frozenset(row.key._replace(problem=row.item) for row in self._rows.values())
 
-    def append(self, rows: Sequence[ResultRow]) -> None:
-        """Add all rows of one run and force them to disk; a row with a known key replaces the earlier one.
+    def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
+        """Add all rows of one run and its paths' states (m, n), and force them to disk.
+
+        A row with a known key replaces the earlier one.
 
         Raises
         ------
@@ -128,19 +136,22 @@ class RunStore:
             self._later_session = None
         self._rows |= {row.key: row for row in rows}
         try:
-            self._append_text((csv_text(rows, header=False) + "\n").encode("utf-8"))
+            if paths:
+                self._append_to(PARTIAL_PATHS, b"".join(map(array_bytes, paths)))
+            self._append_to(PARTIAL_FILE, (csv_text(rows, header=False) + "\n").encode("utf-8"))
         except OSError as error:
             raise RunStoreError(f"cannot append to {self.directory}: {error.strerror}") from error
 
-    def _append_text(self, text: bytes) -> None:
+    def _append_to(self, name: str, data: bytes) -> None:
         """Put all of it on disk or, when the disk is full, nothing."""
-        if self._partial is None:
-            self._partial = io.FileIO(self.directory / PARTIAL_FILE, "a")
-        size = os.fstat(self._partial.fileno()).st_size
-        if self._partial.write(text) != len(text):
-            self._partial.truncate(size)
+        if name not in self._partials:
+            self._partials[name] = io.FileIO(self.directory / name, "a")
+        handle = self._partials[name]
+        size = os.fstat(handle.fileno()).st_size
+        if handle.write(data) != len(data):
+            handle.truncate(size)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.fsync(self._partial.fileno())
+        os.fsync(handle.fileno())
 
     def finish(self) -> None:
         """Merge everything into ``runs.csv``, remove the partial file and release the directory."""
@@ -148,8 +159,8 @@ class RunStore:
             return
         lock, self._lock = self._lock, None
         try:
-            if self._partial is not None:
-                self._partial.close()
+            for handle in self._partials.values():
+                handle.close()
             self._merge()
         finally:
             unlock(lock)

@@ -35,6 +35,8 @@ class MotionProof:
     """(k, n), middles of all stretches, those proven with the least room first."""
     looks: int
     """Configurations looked at."""
+    unproven_at: np.ndarray | None = None
+    """(n,), the middle of the longest such stretch."""
 
 
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
@@ -44,12 +46,9 @@ def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     if obstacles.colliding is not None:
         return obstacles
     itself = _walk(line, checker.room_in_itself, checker.in_collision)
-    return MotionProof(
-        itself.colliding,
-        max(obstacles.unproven, itself.unproven),
-        obstacles.tightest,
-        obstacles.looks + itself.looks,
-    )
+    worse = max(obstacles, itself, key=lambda proof: proof.unproven)
+    looks = obstacles.looks + itself.looks
+    return MotionProof(itself.colliding, worse.unproven, obstacles.tightest, looks, worse.unproven_at)
 
 
 def _walk(
@@ -59,6 +58,7 @@ def _walk(
 ) -> MotionProof:
     """Prove stretch after stretch; room: see `CollisionChecker.room_among_obstacles`."""
     ahead, looks, unproven = deque(_parts(0.0, 0.5 * line.length, LONGEST)), 0, 0.0
+    unproven_at: np.ndarray | None = None
     proven: list[tuple[float, np.ndarray]] = []
     while ahead:
         batch = [ahead.popleft() for _ in range(min(BATCH, len(ahead)))]
@@ -72,11 +72,12 @@ def _walk(
                 if half > FINEST:
                     left += _parts(begin, half, half * max(share, 1.0 / MOST_PARTS))
                     continue
-                unproven = max(unproven, 2.0 * half)
+                if 2.0 * half > unproven:
+                    unproven, unproven_at = 2.0 * half, middle
             proven.append((half, middle))
         ahead.extendleft(reversed(left))
     order = np.argsort([half for half, _ in proven], kind="stable")
-    return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks)
+    return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks, unproven_at)
 
 
 def _parts(begin: float, half: float, aim: float) -> list[tuple[float, float]]:

@@ -1,5 +1,6 @@
 """Where the phases of a task may end: goal configurations from which the phase after can begin."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +70,18 @@ def world_before(task: Task, world: World, k: int, number: int) -> World:
     for phase in task.phases[k:number]:
         world = world.after(phase)
     return world
+
+
+def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[PlanningProblem]:
+    """The problems, without goals, that a task's planned phases were, given what came of them: states (m, n) each."""
+    world, begin = World.before(task), 0
+    for states in paths:
+        ahead = following(task, begin)
+        assert ahead is not None, "more paths than planned phases"
+        number, phase = ahead
+        world = world_before(task, world, begin, number)
+        yield world.problem(task, phase)
+        world, begin = world.moved(states[-1]), number + 1
 
 
 def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:

@@ -12,7 +12,7 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.results.row import FailReason, read_rows
-from experiments.rows import Run, failed_rows, path_hash, result_row, rows_of
+from experiments.rows import Run, failed_rows, outcome_of, path_hash, result_row
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import UnsolvableProblem
 from paper_tables.committed import committed_directories
@@ -85,7 +85,7 @@ def test_a_fallback_has_its_column_and_counts_as_solved(solution):
 
 
 def test_a_problem_without_a_start_is_a_failure_of_every_planner():
-    (row,) = rows_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0)
+    (row,) = outcome_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0).rows
     assert (row.key, row.fail_reason, row.detail) == (RUN.key, "no_start", "no start grasp: =1")
 
 

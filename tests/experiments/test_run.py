@@ -110,25 +110,25 @@ def test_failures_are_rows_with_a_reason(tmp_path):
 
 
 def dies_on(problem, always=True):
-    """`rows_of` that kills its worker on a problem, or only the first time."""
-    real, once = runner.rows_of, Path(tempfile.mkdtemp()) / "died"
+    """`outcome_of` that kills its worker on a problem, or only the first time."""
+    real, once = runner.outcome_of, Path(tempfile.mkdtemp()) / "died"
 
-    def rows_of(run, item, seconds):
+    def outcome_of(run, item, seconds):
         if run.item == problem and run.budget == ENOUGH and (always or not once.exists()):
             once.touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return real(run, item, seconds)
 
-    return rows_of
+    return outcome_of
 
 
 def test_a_fault_of_ours_costs_its_own_run_only_and_stands_in_the_table(tmp_path, monkeypatch):
-    real = runner.rows_of
+    real = runner.outcome_of
 
-    def rows_of(run, item, seconds):
+    def outcome_of(run, item, seconds):
         return real(run, item, seconds / (run.item - 10 if run.budget == ENOUGH else 1))
 
-    monkeypatch.setattr(runner, "rows_of", rows_of)
+    monkeypatch.setattr(runner, "outcome_of", outcome_of)
     rows = run(Experiment("place-task", (10, 15), ("birrt",), (0,), ENOUGH), tmp_path)
     assert [(row.problem, row.fail_reason) for row in rows] == [("10", "planner_error"), ("15", None)]
     assert rows[0].detail.startswith("ZeroDivisionError: ")
@@ -136,7 +136,7 @@ def test_a_fault_of_ours_costs_its_own_run_only_and_stands_in_the_table(tmp_path
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_worker_that_dies_costs_its_own_run_only(tmp_path, monkeypatch, jobs):
-    monkeypatch.setattr(runner, "rows_of", dies_on(10))
+    monkeypatch.setattr(runner, "outcome_of", dies_on(10))
     three = Experiment("place-task", (2, 10, 5), ("birrt",), (0,), ENOUGH)
     rows = run(three, tmp_path, jobs=jobs)
     assert [(row.problem, row.fail_reason) for row in rows] == [
@@ -148,7 +148,7 @@ def test_a_worker_that_dies_costs_its_own_run_only(tmp_path, monkeypatch, jobs):
 
 
 def test_a_worker_that_something_else_killed_costs_nothing(four_rows, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "rows_of", dies_on(2, always=False))
+    monkeypatch.setattr(runner, "outcome_of", dies_on(2, always=False))
     assert untimed(run(FOUR, tmp_path, jobs=2)) == untimed(four_rows)
 
 
@@ -156,7 +156,7 @@ def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
     def refuse(run, item, seconds):
         raise InvalidInputError("weights are for another robot")
 
-    monkeypatch.setattr(runner, "rows_of", refuse)
+    monkeypatch.setattr(runner, "outcome_of", refuse)
     with pytest.raises(InvalidInputError, match="another robot"):
         run(FOUR, tmp_path, jobs=2)
 
