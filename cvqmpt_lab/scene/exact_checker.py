@@ -87,42 +87,39 @@ class CollisionChecker:
         """Whether configuration q (n,) touches anything. About 20 us."""
         if pin.computeCollisions(self._model, self._data, self._own, q, True):
             return True
-        return self._share_of_margins(np.full(len(self._links), self._margin)) < 1.0
+        return self._meets_obstacle(np.full(len(self._links), self._margin))
 
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) touches anything, (b,) bool."""
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
-    def room_among_obstacles(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Whether the robot surely touches no obstacle at any configuration in hulls of corners (k, c, n).
+    def clear_of_obstacles(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+        """Whether the robot surely touches no obstacle at any configuration in hulls of corners (k, c, n), (k,) bool.
 
-        q (k, n) lie in the hulls: distances there are compared with how far any point of a link can move. Of each
-        hull the share (k,) of that motion for which a pair of pieces was found to leave room: 1 when all of it is
-        clear, 0 or less where something touches at q. Less than 1 may mean "not known".
+        q (k, n) lie in the hulls: distances there are compared with how far any point of a link can move.
+        "No" may mean "not known".
         """
         moved = self._sweep.in_world(q, hulls) + self._margin + ROUNDING
-        shares = np.minimum(SWELLINGS[-1] / moved.max(axis=1, initial=SWELLINGS[-1]), 1.0)
-        for k in np.flatnonzero(shares == 1.0):
+        clear = moved.max(axis=1, initial=0.0) <= SWELLINGS[-1]
+        for k in np.flatnonzero(clear):
             self._pose(q[k])
-            shares[k] = self._share_of_margins(moved[k])
-        return shares
+            clear[k] = not self._meets_obstacle(moved[k])
+        return clear
 
-    def room_in_itself(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+    def clear_of_itself(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
         """The same for links and what is carried against each other."""
         if len(self._geometry.collisionPairs) == 0:
-            return np.ones(len(q))
+            return np.ones(len(q), dtype=bool)
         moved = self._sweep.between(q, hulls) + self._margin + ROUNDING
-        return np.array([self._own_share(*look) for look in zip(q, moved, strict=True)])
+        return np.array([self._apart(*look) for look in zip(q, moved, strict=True)])
 
-    def _own_share(self, q: np.ndarray, moved: np.ndarray) -> float:
-        """Room at q (n,) as a share of how far pairs (p,) can move [m]; 1 at most."""
+    def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
+        """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
         nearest = pin.computeDistances(self._model, self._data, self._geometry, self._own_results, q)
         found = self._own_results.distanceResults
-        if found[nearest].min_distance > moved.max():
-            return 1.0
-        return min(
-            1.0, *((found[k].min_distance - self._margin) / gap for k, gap in enumerate(moved.tolist()))
-        )
+        if found[nearest].min_distance > gaps.max():
+            return True
+        return all(found[k].min_distance > gap for k, gap in enumerate(gaps.tolist()))
 
     def _pose(self, q: np.ndarray) -> None:
         """Put every piece where it is at q."""
@@ -169,20 +166,15 @@ class CollisionChecker:
             self._worlds[swelling] = _World(phase, objects)
         return self._worlds[swelling]
 
-    def _share_of_margins(self, margins: np.ndarray) -> float:
-        """Distance of the first link found closer to an obstacle than its margin [m], over that; 1 without any.
-
-        Links are where the broad phase has them now.
-        """
-        data = self._callback.data
-        request, result = data.request, data.result
+    def _meets_obstacle(self, margins: np.ndarray) -> bool:
+        """Whether a link, where the broad phase has it now, is closer to an obstacle than its margin [m]."""
+        request, result = self._callback.data.request, self._callback.data.result
         for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
             request.security_margin = margin
             manager.collide(self._world_for(margin).phase, self._callback)
             if result.isCollision():
-                gap = result.getContact(0).penetration_depth - self._margin
-                return min(gap / margin, 1.0 - 1e-9) if margin > 0.0 else -1.0
-        return 1.0
+                return True
+        return False
 
     def _world_for(self, margin: float) -> "_World":
         """The obstacles in boxes that are swelled by no less than a margin [m]."""

@@ -1,8 +1,8 @@
 """Whether a motion is free at every state of it, not only at samples.
 
 In the middle of a stretch, distances by coal are compared with how far any link can move inside it. A stretch that
-is not proven is cut, finer the closer something was; where the robot is so close that this leads nowhere, stretches
-of FINEST are passed when their middle is free, and the proof says so.
+is not proven is cut; where the robot is so close that this leads nowhere, stretches of FINEST are passed when their
+middle is free, and the proof says so. Nothing depends on which of several pairs coal finds first: that is chance.
 """
 
 from collections import deque
@@ -17,8 +17,10 @@ LONGEST = 0.2
 """[rad] half of a stretch that is tried first."""
 FINEST = 1e-4
 """[rad] half of a stretch that is passed when it cannot be proven and its middle is free."""
-MOST_PARTS = 5
-"""A stretch is cut into at once."""
+DOUBTFUL = 0.01
+"""[rad] half of a stretch, or less, whose middle is asked for a collision when it cannot be proven."""
+PARTS = 2
+"""Into which such a stretch is cut."""
 BATCH = 64
 """Stretches looked at together; they are next to each other, so that little is wasted before a collision."""
 
@@ -42,10 +44,10 @@ class MotionProof:
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     """Prove that straight joint motions through states (m, n), m >= 1, touch nothing; stops at a collision."""
     line = _Polyline(states)
-    obstacles = _walk(line, checker.room_among_obstacles, checker.in_collision)
+    obstacles = _walk(line, checker.clear_of_obstacles, checker.in_collision)
     if obstacles.colliding is not None:
         return obstacles
-    itself = _walk(line, checker.room_in_itself, checker.in_collision)
+    itself = _walk(line, checker.clear_of_itself, checker.in_collision)
     worse = max(obstacles, itself, key=lambda proof: proof.unproven)
     looks = obstacles.looks + itself.looks
     return MotionProof(itself.colliding, worse.unproven, obstacles.tightest, looks, worse.unproven_at)
@@ -53,10 +55,10 @@ def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
 
 def _walk(
     line: "_Polyline",
-    room: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    clear: Callable[[np.ndarray, np.ndarray], np.ndarray],
     hits: Callable[[np.ndarray], bool],
 ) -> MotionProof:
-    """Prove stretch after stretch; room: see `CollisionChecker.room_among_obstacles`."""
+    """Prove stretch after stretch; clear: see `CollisionChecker.clear_of_obstacles`."""
     ahead, looks, unproven = deque(_parts(0.0, 0.5 * line.length, LONGEST)), 0, 0.0
     unproven_at: np.ndarray | None = None
     proven: list[tuple[float, np.ndarray]] = []
@@ -64,13 +66,13 @@ def _walk(
         batch = [ahead.popleft() for _ in range(min(BATCH, len(ahead)))]
         middles, hulls = line.stretches(np.array(batch))
         left: list[tuple[float, float]] = []
-        for (begin, half), middle, share in zip(batch, middles, room(middles, hulls).tolist(), strict=True):
+        for (begin, half), middle, free in zip(batch, middles, clear(middles, hulls), strict=True):
             looks += 1
-            if share < 1.0:
-                if (share <= 0.0 or half <= FINEST) and hits(middle):
+            if not free:
+                if half <= DOUBTFUL and hits(middle):
                     return MotionProof(middle, unproven, np.empty((0, len(middle))), looks)
                 if half > FINEST:
-                    left += _parts(begin, half, half * max(share, 1.0 / MOST_PARTS))
+                    left += _parts(begin, half, half / PARTS)
                     continue
                 if 2.0 * half > unproven:
                     unproven, unproven_at = 2.0 * half, middle

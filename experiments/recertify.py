@@ -1,0 +1,95 @@
+"""Every path of a finished run, judged again from its rows and from what was kept beside them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.certificate import Certificate, certify
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.planning.result import JointPath
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.paths import KeptPaths
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sorted_rows
+from cvqmpt_lab.results.store import PARTIAL_FILE
+from cvqmpt_lab.tasks.goals import phase_problems
+from cvqmpt_lab.tasks.task import Task
+from experiments.suites.table import suite_named
+
+LENGTH_TOLERANCE = 1e-9
+"""[rad] between the length in a row and that of its path."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a row says of its path, and what the path says."""
+
+    row: ResultRow
+    certificate: Certificate | None
+    """None where there is no path to judge."""
+    trouble: str = ""
+    """Why the row cannot be trusted, or ""."""
+
+
+def recertify(directory: Path) -> Iterator[Verdict]:
+    """Verdicts on all rows of a run that speak of a path, problem by problem.
+
+    Raises
+    ------
+    RunStoreError
+        When rows or paths are missing or damaged, or the run was interrupted.
+    """
+    if (directory / PARTIAL_FILE).is_file():
+        raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")
+    rows, paths = sorted_rows(read_rows(directory / RUNS_FILE)), KeptPaths(directory)
+    if not paths and any(row.path_sha256 for row in rows):
+        raise RunStoreError(
+            f"{directory} keeps no paths.npz: it was made by an earlier version; run it again"
+        )
+    for (suite, name), of_item in groupby(sorted(rows, key=_run), key=lambda row: _run(row)[:2]):
+        item = suite_named(suite).item(int(name)) if name.isdecimal() else None
+        for _, of_run in groupby(of_item, key=_run):
+            yield from _verdicts(item, list(of_run), paths)
+
+
+def _run(row: ResultRow) -> RunKey:
+    """The run of a row, without the phase of a task."""
+    return row.key._replace(problem=row.item)
+
+
+def _verdicts(item: object, rows: list[ResultRow], paths: KeptPaths) -> Iterator[Verdict]:
+    """Verdicts on the rows of one run, of a problem or of the phases of a task."""
+    rows = [row for row in rows if row.path_sha256]
+    if not isinstance(item, PlanningProblem | Task):
+        for row in rows:
+            yield Verdict(row, None, f"suite {row.suite} has no problem {row.item!r} now")
+        return
+    kept = [paths.get(row.path_sha256) for row in rows if row.path_sha256]
+    missing = next((k for k, states in enumerate(kept) if states is None), len(kept))
+    known = [states for states in kept[:missing] if states is not None]
+    problems = phase_problems(item, known) if isinstance(item, Task) else [item] * len(known)
+    for row, problem, states in zip(rows, problems, known, strict=False):
+        yield _verdict(row, problem, states)
+    for k, row in enumerate(rows[missing:]):
+        yield Verdict(row, None, "a path before it is not kept" if k else "its path is not kept")
+
+
+def _verdict(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> Verdict:
+    try:
+        certificate = certify(problem, JointPath(states), clearance=False)
+    except InvalidInputError as error:
+        return Verdict(row, None, str(error))
+    length = JointPath(states).length
+    if row.path_length_rad is None or abs(length - row.path_length_rad) > LENGTH_TOLERANCE:
+        return Verdict(
+            row, certificate, f"its path is {length:.6f} rad long, the row says {row.path_length_rad}"
+        )
+    if row.certified and not certificate.valid:
+        return Verdict(
+            row, certificate, f"certified in the row, refused now: {'; '.join(certificate.reasons)}"
+        )
+    if not row.certified and certificate.valid:
+        return Verdict(row, certificate, "refused in the row, certified now")
+    return Verdict(row, certificate)

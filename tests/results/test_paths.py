@@ -1,0 +1,81 @@
+"""Paths beside rows: exactly what was hashed, whatever interrupts a run; damage is refused by name."""
+
+import numpy as np
+import pytest
+from made_rows import CONFIGURATION, a_row, names
+
+from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.results.paths import PARTIAL_PATHS, PATHS_FILE, KeptPaths, states_hash
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows
+from cvqmpt_lab.results.store import RunStore
+
+
+def path(seed):
+    return np.random.default_rng(seed).standard_normal((40, 7))
+
+
+def row(seed, **values):
+    return a_row(f"p{seed}", path_sha256=states_hash(path(seed)), **values)
+
+
+@pytest.fixture
+def store(tmp_path):
+    with RunStore.open(tmp_path, CONFIGURATION) as store:
+        store.append([row(1)], [path(1)])
+        store.append([row(2), row(3)], [path(2), path(3)])
+    return tmp_path
+
+
+def test_what_was_hashed_comes_back_bit_for_bit(store):
+    assert names(store) == [PATHS_FILE, "provenance.json", RUNS_FILE]
+    kept = KeptPaths(store)
+    assert set(kept) == {row.path_sha256 for row in read_rows(store / RUNS_FILE)} and len(kept) == 3
+    for seed in (1, 2, 3):
+        assert kept[states_hash(path(seed))].tobytes() == path(seed).tobytes()
+    assert np.load(store / PATHS_FILE)[states_hash(path(2))].shape == (40, 7), "no reader of ours is needed"
+
+
+def test_a_continued_run_adds_paths_and_drops_those_of_rows_it_replaced(store):
+    with RunStore.open(store, CONFIGURATION) as again:
+        again.append([a_row("p1", path_sha256=states_hash(path(9)))], [path(9)])
+    assert set(KeptPaths(store)) == {states_hash(path(seed)) for seed in (2, 3, 9)}
+
+
+@pytest.mark.parametrize("cut", [1, 8, 60, 130, 1000])
+def test_a_path_cut_short_by_a_kill_is_left_out_and_the_others_stay(tmp_path, cut):
+    killed = RunStore.open(tmp_path, CONFIGURATION)
+    killed.append([row(1)], [path(1)])
+    data = (tmp_path / PARTIAL_PATHS).read_bytes()
+    killed.append([row(2)], [path(2)])
+    rows = (tmp_path / "runs.partial.csv").read_bytes()
+    killed.finish()
+    for name in (RUNS_FILE, PATHS_FILE):
+        (tmp_path / name).unlink()
+    (tmp_path / PARTIAL_PATHS).write_bytes(data + data[:cut])
+    (tmp_path / "runs.partial.csv").write_bytes(rows[: rows.index(b"\n\n") + 2])
+    with RunStore.open(tmp_path, CONFIGURATION) as again:
+        again.append([row(2)], [path(2)])
+    assert set(KeptPaths(tmp_path)) == {states_hash(path(1)), states_hash(path(2))}
+
+
+@pytest.mark.parametrize("where", [0.2, 0.5, 0.999])
+def test_a_damaged_store_is_refused_by_name(store, where):
+    data = bytearray((store / PATHS_FILE).read_bytes())
+    data[int(where * len(data))] ^= 0xFF
+    (store / PATHS_FILE).write_bytes(bytes(data))
+    with pytest.raises(RunStoreError, match=r"paths\.npz is damaged"):
+        dict(KeptPaths(store))
+
+
+def test_a_store_that_is_no_store_stops_a_run_before_it_begins(store):
+    (store / PATHS_FILE).write_bytes(b"no zip")
+    with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another folder"):
+        RunStore.open(store, CONFIGURATION)
+
+
+def test_another_path_under_a_row_s_hash_is_refused(store):
+    forged = {states_hash(path(1)): path(1) + 1e-16 * (path(1) == path(1).max())}
+    forged[states_hash(path(1))][0, 0] += 1e-15
+    np.savez_compressed(store / PATHS_FILE, **forged)
+    with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another hash"):
+        KeptPaths(store)[states_hash(path(1))]
