@@ -60,8 +60,8 @@ class Certificate:
     """Configurations at which distances were compared."""
     unproven_rad: float = 0.0
     """Longest stretch whose middle is free although its freedom could not be proven [rad]; 0 when there is none."""
-    unproven_at: np.ndarray | None = None
-    """(n,), the middle of that stretch."""
+    unproven_at: float | None = None
+    """The middle of that stretch, as the number of a state (see `Fault.at`)."""
 
     @property
     def valid(self) -> bool:
@@ -98,7 +98,7 @@ def certify(
         _clearance(checker, proof) if clearance else np.nan,
         proof.looks,
         proof.unproven,
-        proof.unproven_at,
+        _place(path.states, proof.unproven_at),
     )
 
 

@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,9 +75,9 @@ def merge_paths(directory: Path, wanted: Collection[str]) -> None:
     if not partial.is_file():
         return
     kept = {states_hash(states): states for states in _whole_arrays(read_bytes(partial))}
-    kept = {**KeptPaths(directory), **kept}
+    arrays: dict[str, Any] = {**KeptPaths(directory), **kept}
     with replacing(Path(directory) / PATHS_FILE) as temporary, temporary.open("wb") as handle:
-        np.savez_compressed(handle, **{name: kept[name] for name in sorted(kept.keys() & set(wanted))})
+        np.savez_compressed(handle, **{name: arrays[name] for name in sorted(arrays.keys() & set(wanted))})
         handle.flush()
         os.fsync(handle.fileno())
     partial.unlink()
