@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cli.motion_options import pose_region
 from cli.options import positive_int
 from cvqmpt_lab.codec.documents import to_text
 from cvqmpt_lab.codec.plain import from_plain, located, mapping
@@ -22,7 +23,6 @@ EXAMPLES = (
     "cvqmpt ik --problem-file mine.json --region goal_region --count 20 --json",
     """cvqmpt ik --problem-file mine.json --region '{"pose": {"at": {"xyz": [0.5, 0, 0.4]}, "yaw": 3.15}}'""",
 )
-POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,14 +76,7 @@ def run(args: argparse.Namespace) -> int:
 def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
     """The region asked for."""
     if args.pose is not None:
-        words = args.pose.replace(",", " ").split()
-        try:
-            numbers = [float(word) for word in words]
-        except ValueError:
-            numbers = []
-        if len(numbers) != len(POSE):
-            raise InvalidInputError(f"--pose {args.pose!r}: write six numbers, {', '.join(POSE)} [m, rad]")
-        return from_plain(Region, {"pose": {"at": {"xyz": numbers[:3], "rpy": numbers[3:]}}}, "--pose")
+        return pose_region("--pose", args.pose)
     if args.region in ("goal_region", "start_region"):
         if args.region not in data:
             raise InvalidInputError(f"{args.problem_file} has no {args.region!r}; write one after --region")

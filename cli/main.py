@@ -3,8 +3,9 @@
 import argparse
 import importlib
 import os
+import re
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 
@@ -14,6 +15,7 @@ COMMANDS = {
     "figure": "make a figure of the paper, with its numbers",
     "table": "render the tables of a results directory",
     "problems": "list or export the problems of a suite, or write one to start from",
+    "scan": "make a clean cloud or a scene of depth images or clouds",
     "ik": "find configurations for a pose or region, for a problem file",
     "robot": "show what is understood of a robot's description, or list the arms that have a name",
     "trust": "put what is promised to the test: repeats, faults, hostile files, edges",
@@ -38,7 +40,11 @@ cvqmpt COMMAND --help tells the rest."""
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse whose errors are ours: one line, without the usage."""
+    """argparse whose errors are ours: one line, without the usage; -0.1,0.2 is a value and no option."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = re.compile(r"-(\d|\.\d)[\d.,eE+-]*$")
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""

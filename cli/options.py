@@ -5,6 +5,7 @@ import contextlib
 import math
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
@@ -40,6 +41,18 @@ def writable_file(path: Path) -> Path:
     if path.is_dir():
         raise InvalidInputError(f"cannot write {path}: it is a folder; name a file in it")
     return path
+
+
+def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
+    """Finite numbers separated by commas or blanks; as many as there are names, if there are any."""
+    try:
+        found = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        found = [math.nan]
+    if not found or not all(map(math.isfinite, found)) or len(found) != (len(names) or len(found)):
+        wanted = f"finite numbers {','.join(names)}" if names else "finite numbers separated by commas"
+        raise InvalidInputError(f"{option} {text!r}: write {wanted}")
+    return found
 
 
 class ProgressBar:

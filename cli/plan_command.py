@@ -6,11 +6,13 @@ import sys
 from functools import partial
 from pathlib import Path
 
+from cli.motion_options import add_motion, motion_given, motion_problem, scanned
 from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
 from cli.plan_task import run_task
 from cli.planner_options import add_budget, budget
 from cli.robot_options import add_robot, robot_source
+from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
@@ -34,6 +36,7 @@ EXAMPLES = (
     "cvqmpt plan --task-file task.json --planner guided-birrt",
     "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
     "cvqmpt plan --problem-file mine.json --robot ur5",
+    "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal 1,0,0,-2,0,2,0",
     "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 
@@ -49,20 +52,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="T.json",
         help="a task of several phases instead, planned phase by phase",
     )
-    add_robot(parser, "another robot for the problem of --problem-file")
+    add_robot(parser, "another robot for the problem of --problem-file, or for --start and --goal")
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     add_model(parser)
     parser.add_argument(
         "--cloud",
         type=Path,
-        metavar="SCAN.pcd|ply|npy|xyz",
-        help="what a planner with a network is shown [m, robot base frame]; obstacles are those of the scene",
+        action="append",
+        default=[],
+        metavar="SCAN.pcd|ply|npy|xyz|png",
+        help="with --start and --goal the obstacles; with a suite or file, whose obstacles count, what a network "
+        "is shown; repeatable",
+    )
+    parser.add_argument(
+        "--scene", type=Path, metavar="S.json", help="obstacles of --start and --goal, not --cloud"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
     parser.add_argument("--json", action="store_true", help="print one json object instead of the report")
     parser.add_argument(
         "-v", "--verbose", action="store_true", help="say on standard error what happens inside"
     )
+    add_motion(parser)
+    add_scan(parser)
     add_budget(parser)
     add_show(parser)
     parser.add_argument("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
@@ -91,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     problem = _asked(args)
     if isinstance(problem, Task):
         return run_task(args, problem)
-    method = _method(args)
+    method = _method(args, problem)
     _check_timing(args, problem)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     if args.verbose:
@@ -110,33 +121,34 @@ def run(args: argparse.Namespace) -> int:
     return 0 if solution.solved else 1
 
 
-def _method(args: argparse.Namespace) -> Method:
-    """The planner of the command line, shown the cloud that was given for it."""
+def _method(args: argparse.Namespace, problem: PlanningProblem) -> Method:
+    """The planner of the command line, shown the cloud that was given for it beside a problem of its own."""
     method = planner_named(args.planner, args.model)
-    if args.cloud is None:
+    if not args.cloud or motion_given(args):
         return method
     from cvqmpt_lab.methods.observation import shown
-    from cvqmpt_lab.scene.files.clouds import read_cloud
 
-    cloud = read_cloud(args.cloud)
-    dropped = f", {cloud.dropped} left out that were not finite" if cloud.dropped else ""
-    print(f"cloud {args.cloud}: {len(cloud.points)} points{dropped}", file=sys.stderr)
-    return shown(method, cloud.points)
+    return shown(method, scanned(args, problem.robot, problem.start).points)
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem or task of the command line."""
+    if not args.cloud and (args.intrinsics or args.extrinsics or args.level or args.crop):
+        raise InvalidInputError("--intrinsics, --extrinsics, --level and --crop are of a scan: give --cloud")
     given = [name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None]
-    if len(given) != 1:
+    if motion_given(args) and not given:
+        return motion_problem(args)
+    if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
-            f"name a suite ({', '.join(SUITES)}) or give --problem-file or --task-file, one of the three"
+            f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or --start and --goal with "
+            "--cloud or --scene: one of the four"
         )
     robot = robot_source(args, args.problem_file)
     if args.problem_file is not None:
         return PlanningProblem.load(args.problem_file, robot=robot)
     if robot:
         raise InvalidInputError(
-            "--robot and --urdf go with --problem-file: other problems are for their own robot"
+            "--robot and --urdf go with --problem-file or --start: other problems are for their own robot"
         )
     return Task.load(args.task_file) if args.task_file else suite_named(args.suite).solvable(args.problem)
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.json_schema import FOLDER
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
+from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import ROWS_TEXT, RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
@@ -49,7 +50,7 @@ def template(source: Mapping[str, Any]) -> dict[str, Any]:
     """
     robot = robot_from_source(source)
     size, away = round(0.1 * robot.reach, 3), round(0.6 * robot.reach, 3)
-    axis = _upper_axis(robot)
+    axis = upper_axis(robot.pose(0.5 * (robot.lower + robot.upper)))
     scene = Scene("room", (SceneObject("box", Box((size, size, size)), pose((away, 0.0, size))),))
     box = {"_comment": SHAPES, "name": "box", "shape": {"type": "box", "size": [size] * 3}}
     plain = {
@@ -79,13 +80,6 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
     rpy = Rotation.from_matrix(T_world_goal[:3, :3]).as_euler("xyz")
     at = {"xyz": T_world_goal[:3, 3].round(3).tolist(), "rpy": rpy.round(4).tolist()}
     return {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
-
-
-def _upper_axis(robot: Robot) -> str:
-    """The axis of the end effector that points up most with all joints in the middle of their ranges."""
-    up = robot.pose(0.5 * (robot.lower + robot.upper))[2, :3]
-    k = int(np.argmax(np.abs(up)))
-    return ("-" if up[k] < 0.0 else "") + "xyz"[k]
 
 
 def _ends(robot: Robot, scene: Scene, manifold: RegionConstraint) -> Iterator[tuple[np.ndarray, np.ndarray]]:

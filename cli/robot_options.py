@@ -5,10 +5,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+from cli.options import numbers
 from cvqmpt_lab.codec.plain import mapping, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.poses import Placement
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 
 
 def add_robot(parser: argparse.ArgumentParser, title: str) -> None:
@@ -79,6 +82,11 @@ def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> 
     return {"urdf": str(args.urdf.absolute()), **options}
 
 
+def chosen_robot(args: argparse.Namespace) -> Robot:
+    """The robot of the command line; the Panda unless said otherwise."""
+    return robot_from_source(robot_source(args) or {"name": "panda"})
+
+
 def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     """The options of `add_robot_options` that were given, as fields of a problem file's robot."""
     options: dict[str, Any] = {}
@@ -93,14 +101,14 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     if args.base is not None:
         options["base"] = to_plain(_base(args.base))
     if args.acceleration is not None:
-        accelerations = _numbers("--acceleration", args.acceleration)
+        accelerations = numbers("--acceleration", args.acceleration)
         options["acceleration_limits"] = accelerations[0] if len(accelerations) == 1 else accelerations
     return options
 
 
 def _base(text: str) -> Placement:
     """The pose of --base."""
-    x = _numbers("--base", text)
+    x = numbers("--base", text)
     if len(x) not in (3, 6):
         raise InvalidInputError(f"--base {text!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
     return Placement((x[0], x[1], x[2]), (x[3], x[4], x[5]) if len(x) == 6 else None)
@@ -116,11 +124,3 @@ def _locked_joint(text: str) -> tuple[str, float]:
     if not joint or not math.isfinite(number):
         raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
     return joint, number
-
-
-def _numbers(option: str, text: str) -> list[float]:
-    """Numbers separated by commas."""
-    try:
-        return [float(word) for word in text.split(",")]
-    except ValueError as error:
-        raise InvalidInputError(f"{option} {text!r}: write numbers separated by commas") from error

@@ -31,6 +31,13 @@ class Upright:
         return upright(self.tilt, self.axis)
 
 
+def upper_axis(T_world_hand: np.ndarray) -> str:
+    """The axis of the end effector, at a pose (4, 4), that points up most."""
+    up = T_world_hand[2, :3]
+    k = int(np.argmax(np.abs(up)))
+    return ("-" if up[k] < 0.0 else "") + "xyz"[k]
+
+
 @dataclass(frozen=True)
 class FixedOrientation:
     """The end effector is turned as said; its position is free."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cameras import BallCrop, BoxCrop
+from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud
@@ -90,6 +90,15 @@ class Step(NamedTuple):
     """Points after it."""
 
 
+class Levelled(NamedTuple):
+    """How a scan was put level."""
+
+    T_world_camera: FloatArray
+    """(4, 4), where the camera therefore stands [m]."""
+    plane: SupportingPlane
+    """What it was levelled by, in the camera's frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """A cleaned scan."""
@@ -102,19 +111,32 @@ class Scan:
     """What each filter did, in order."""
     voxel: float
     """[m] that its points are apart."""
-    T_world_camera: FloatArray | None = None
-    """(4, 4), where the camera stands if the scan was levelled."""
+    levelled: Levelled | None = None
+    """None unless asked for."""
     plane: SupportingPlane | None = None
     """The supporting plane, where one was looked for, in the robot's base frame."""
     table: SceneObject | None = None
     """The box that stands for it."""
 
-    def scene(self, radius: float | None = None, name: str = "scan") -> Scene:
-        """The scan as obstacles: balls of a radius [m] that covers the voxels by default, and the table's box."""
-        radius = COVERING * self.voxel if radius is None else radius
-        cloud = [SceneObject(name, PointCloud(self.points, radius), pose((0.0, 0.0, 0.0)))]
-        boxes = [] if self.table is None else [self.table]
-        return Scene(name, tuple((cloud if len(self.points) else []) + boxes))
+    def scene(
+        self, resolution: float = 0.02, padding: float = 0.0, radius: float | None = None, name: str = "scan"
+    ) -> Scene:
+        """The scan as obstacles, and the table's box.
+
+        Parameters
+        ----------
+        resolution, padding: of an occupancy map: edge of its cells, and what they are swelled by [m].
+        radius: of balls around the points instead [m]; `COVERING` voxels cover what the points stand for.
+        """
+        boxes = () if self.table is None else (self.table,)
+        if len(self.points) == 0:
+            return Scene(name, boxes)
+        shape = (
+            map_of_points(self.points, resolution, padding)
+            if radius is None
+            else PointCloud(self.points, radius)
+        )
+        return Scene(name, (SceneObject(name, shape, np.eye(4)), *boxes))
 
 
 def scan(
@@ -128,8 +150,8 @@ def scan(
     ------
     InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be levelled.
     """
-    T_world_camera = _level(captures, settings, rng) if settings.level else None
-    poses = [capture.T_world_camera if T_world_camera is None else T_world_camera for capture in captures]
+    levelled = _level(captures, settings, rng) if settings.level else None
+    poses = [levelled.T_world_camera if levelled else capture.T_world_camera for capture in captures]
     placed = zip(captures, poses, strict=True)
     points = np.concatenate([capture.points @ T[:3, :3].T + T[:3, 3] for capture, T in placed])
     steps = []
@@ -149,7 +171,7 @@ def scan(
         steps.append(Step("supporting plane", len(points), len(left)))
         points = left
     unseen = sum(capture.unseen for capture in captures)
-    return Scan(points, unseen, tuple(steps), settings.voxel, T_world_camera, plane, table)
+    return Scan(points, unseen, tuple(steps), settings.voxel, levelled, plane, table)
 
 
 def refuse_touching(scene: Scene, arm: Arm) -> None:
@@ -162,14 +184,15 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
         )
 
 
-def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator) -> FloatArray:
-    """T_world_camera (4, 4) by the table that the only capture shows."""
+def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
+    """Level the only capture by the table that it shows."""
     if len(captures) != 1:
         raise InvalidInputError(
             f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"
         )
     points = captures[0].points
-    return level_pose(points, supporting_plane(points, CAMERA_UP, CAMERA_TILT, rng), settings.front)
+    plane = supporting_plane(points, CAMERA_UP, CAMERA_TILT, rng)
+    return Levelled(level_pose(points, plane, settings.front), plane)
 
 
 def _crop(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:

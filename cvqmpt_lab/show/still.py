@@ -16,7 +16,7 @@ from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.show.framing import clear_viewpoint
+from cvqmpt_lab.show.framing import AZIMUTHS, clear_viewpoint, framed
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
@@ -107,6 +107,14 @@ def still_image(
     """
     stage = stage_of(problem, viewpoint or Viewpoint(), size, hidden)
     return eight_bit(stage.picture(robot_meshes(problem, q, ROBOT_COLOUR)).image)
+
+
+def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (1200, 800)) -> None:
+    """Write a PNG of the whole scene and the robot at the start."""
+    robot = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+    corners = np.concatenate([mesh.corners for mesh in (robot, *scene_meshes(problem, ()))])
+    viewpoint = framed(corners.reshape(-1, 3), AZIMUTHS[0], size)
+    write_png(Path(path), still_image(problem, problem.start, size, viewpoint, hidden=()))
 
 
 def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> PlanningProblem:

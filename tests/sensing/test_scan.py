@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cameras import BoxCrop
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.sensing.captures import read_capture
 from cvqmpt_lab.sensing.filters import near_robot
-from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
+from cvqmpt_lab.sensing.scan import COVERING, Arm, ScanSettings, refuse_touching, scan
 
 CROP = BoxCrop((-0.3, -0.9, -0.2), (1.2, 0.9, 1.2))
 
@@ -56,7 +57,7 @@ def test_captures_are_merged_where_their_cameras_stand(capture):
 
 def test_a_scan_without_a_pose_is_levelled_by_its_table(files, capture):
     made = cleaned(replace(capture, T_world_camera=np.eye(4)), level=True, front=(0.3, 0.0, 0.0))
-    T = made.T_world_camera
+    T = made.levelled.T_world_camera
     tilt = np.degrees(np.arccos(T[2, :3] @ capture.T_world_camera[2, :3]))
     assert tilt < 0.5, "the same vertical as that of the camera's true pose"
     top = made.points[np.abs(made.points[:, 2]) < 0.01]
@@ -98,11 +99,17 @@ def test_settings_without_sense_are_refused(settings):
         ScanSettings(**settings)
 
 
-def test_balls_cover_the_surface_that_the_camera_saw(files, capture):
+def test_obstacles_cover_the_surface_that_the_camera_saw(capture):
     made = cleaned(capture, neighbours=0)
-    cloud = made.scene()["scan"].shape
     seen = capture.points @ capture.T_world_camera[:3, :3].T + capture.T_world_camera[:3, 3]
-    some = seen[:: len(seen) // 300]
-    nearest = np.linalg.norm(some[:, None] - cloud.points, axis=2).min(axis=1)
-    assert nearest.max() <= cloud.radius * 2.0 + 1e-9
-    assert np.mean(nearest <= cloud.radius) > 0.999
+    cloud = made.scene(radius=COVERING * made.voxel)["scan"].shape
+    assert nearest(seen[::50], cloud.points).max() <= cloud.radius
+    cells = made.scene(0.02)["scan"].shape
+    assert nearest(seen[::50], cells.centres).max() <= 0.02, (
+        "in a cell, or beside the one of its voxel's mean"
+    )
+    assert len(cells.cells) < len(cloud.points)
+
+
+def nearest(points, others):
+    return cKDTree(others).query(points)[0]

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.codec.plain import from_plain, located
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MapFile, MeshFile
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import ConvexMesh, OccupancyMap, PointCloud
 
 log = logging.getLogger(__name__)
@@ -23,7 +25,7 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
 
     Parameters
     ----------
-    data: not changed; anything in it that is no object with a shape by path stays as it is.
+    data: not changed; its scene may be the path of a json file; what is no object with a shape by path stays as it is.
     folder: of the json file, from which paths go on.
 
     Raises
@@ -31,11 +33,21 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     InvalidInputError: a file that cannot be used, or a field that is wrong; names both.
     """
     read = dict(data)
+    if isinstance(data.get("scene"), str):
+        read["scene"] = read_scene(folder / data["scene"])
     if isinstance(data.get("scene"), dict):
         read["scene"] = _scene(data["scene"], folder)
     if "attachments" in data:
         read["attachments"] = _expanded(data["attachments"], folder, "attachments")[0]
     return read
+
+
+def read_scene(path: Path | str) -> Scene:
+    """The scene of a json file of its own; errors name the file."""
+    path = Path(path)
+    data = _scene(read_json_object(path, "scene"), path.parent)
+    with located(f"scene {path}"):
+        return from_plain(Scene, data)
 
 
 def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:

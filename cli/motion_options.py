@@ -1,0 +1,121 @@
+"""Start, goals and constraint on the command line: what a problem file would say of them."""
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cli.options import numbers
+from cli.robot_options import chosen_robot
+from cli.scan_options import scan_of, scan_report, scene_of
+from cvqmpt_lab.codec.plain import field_kinds, from_plain
+from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import json_object
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.files.by_path import read_scene
+from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
+
+POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def add_motion(parser: argparse.ArgumentParser) -> None:
+    """--start, --goal, --goal-pose and --constraint."""
+    motion = parser.add_argument_group("a motion through what --cloud shows, instead of a suite or a file")
+    motion.add_argument("--start", metavar="Q", help="configuration, numbers separated by commas [rad or m]")
+    motion.add_argument(
+        "--goal",
+        metavar="Q",
+        action="append",
+        default=[],
+        help="configuration to reach; repeatable: any of them",
+    )
+    motion.add_argument(
+        "--goal-pose",
+        metavar="X,Y,Z,R,P,Y",
+        help="end-effector pose to reach instead: [m], roll, pitch, yaw [rad]",
+    )
+    motion.add_argument(
+        "--constraint",
+        metavar="NAME[=VALUE]|JSON",
+        action="append",
+        default=[],
+        help=f"{', '.join(NAMED)}, or a region as in a problem file; upright and fixed-orientation keep what they find "
+        "at the start; repeatable",
+    )
+
+
+def motion_given(args: argparse.Namespace) -> bool:
+    """Whether start, goal or constraint stand on the command line."""
+    return bool(args.start or args.goal or args.goal_pose or args.constraint)
+
+
+def motion_problem(args: argparse.Namespace) -> PlanningProblem:
+    """The problem that the options tell: from --start to --goal, through what --cloud or --scene holds."""
+    if args.start is None or not (args.goal or args.goal_pose):
+        raise InvalidInputError("a motion needs --start Q, and --goal Q or --goal-pose X,Y,Z,R,P,Y")
+    if bool(args.cloud) == bool(args.scene):
+        raise InvalidInputError("--start and --goal need obstacles: give --cloud or --scene, one of the two")
+    robot = chosen_robot(args)
+    start = configuration(robot, "--start", args.start)
+    goals = [configuration(robot, "--goal", text) for text in args.goal]
+    goal_region = pose_region("--goal-pose", args.goal_pose) if args.goal_pose else None
+    constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
+    if args.scene is not None:
+        scene = read_scene(args.scene)
+    else:
+        scene = scene_of(args, scanned(args, robot, start))
+        refuse_touching(scene, Arm(robot, start))
+    return PlanningProblem(
+        (args.scene or args.cloud[0]).stem,
+        robot,
+        scene,
+        start=start,
+        goals=np.array(goals).reshape(-1, robot.dof),
+        constraint=constraint,
+        goal_region=goal_region,
+    )
+
+
+def scanned(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Scan:
+    """What --cloud shows; the robot stood at --arm-at, or at q (n,). The report of it goes to standard error."""
+    at = q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at)
+    made = scan_of(args, args.cloud, Arm(robot, at))
+    print("\n".join(scan_report(made, args.cloud)), file=sys.stderr)
+    return made
+
+
+def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
+    """A configuration (n,) of the robot."""
+    return np.array(numbers(option, text, robot.joint_names))
+
+
+def pose_region(option: str, text: str) -> TaskSpaceRegion:
+    """The region of one end-effector pose."""
+    x = numbers(option, text, POSE)
+    return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
+
+
+def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
+    """A region by name, with a value for its first field or without, or as json."""
+    if text.lstrip().startswith("{"):
+        return from_plain(Region, json_object(text, "--constraint"), "--constraint")
+    name, _, value = text.partition("=")
+    if name not in NAMED:
+        raise UnknownChoiceError("--constraint", name, NAMED)
+    said = AT_START[name](robot.pose(start)) if name in AT_START else {}
+    if value:
+        said[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
+    return from_plain(Region, {name: said}, "--constraint")
+
+
+AT_START: Mapping[str, Callable[[np.ndarray], dict[str, Any]]] = {
+    "upright": lambda T: {"axis": upper_axis(T)},
+    "fixed-orientation": lambda T: {"rpy": Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()},
+}
+"""What a constraint by name takes from the end effector's pose (4, 4) at the start."""

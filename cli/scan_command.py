@@ -1,0 +1,73 @@
+"""`cvqmpt scan`: depth images or clouds in; a clean cloud, or a scene to plan in, and a picture out."""
+
+import argparse
+from pathlib import Path
+
+from cli.motion_options import configuration
+from cli.options import writable_file
+from cli.robot_options import add_robot, chosen_robot
+from cli.scan_options import add_scan, scan_of, scan_report, scene_of
+from cvqmpt_lab.codec.documents import to_text
+from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.files import write_text
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.files.cloud_writing import WRITERS, write_cloud
+from cvqmpt_lab.sensing.scan import Arm, refuse_touching
+from cvqmpt_lab.show.still import draw_world
+
+EXAMPLES = (
+    "cvqmpt scan scan.pcd --level table --picture scan.png",
+    "cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json --arm-at 0,0,0,-2,0,2,0 --out clean.pcd",
+    "cvqmpt scan left.pcd right.pcd --extrinsics left.json --extrinsics right.json --plane box --out scene.json",
+)
+SCENE = ".json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Files, cameras, filters, the robot, where to."""
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="clouds (pcd, ply, npy, xyz) or depth images (png, npy)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="OUT.pcd|ply|npy|json",
+        help="the cleaned cloud, or as json a scene for plan --scene; repeatable",
+    )
+    parser.add_argument("--picture", type=Path, metavar="P.png", help="what is left, and the robot")
+    add_scan(parser)
+    add_robot(parser, "the robot whose points go (panda)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, clean, report, write."""
+    for path in (*args.out, *([args.picture] if args.picture else [])):
+        writable_file(path)
+    for path in args.out:
+        if path.suffix not in (SCENE, *WRITERS):
+            raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, (SCENE, *WRITERS))
+    robot = chosen_robot(args)
+    arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
+    made = scan_of(args, args.files, arm)
+    scene = scene_of(args, made)
+    if arm is not None:
+        refuse_touching(scene, arm)
+    print("\n".join(scan_report(made, args.files)))
+    for path in args.out:
+        if path.suffix == SCENE:
+            write_text(path, to_text(to_plain(scene)) + "\n")
+        else:
+            write_cloud(path, made.points)
+        print(f"written to {path}")
+    if args.picture:
+        q = 0.5 * (robot.lower + robot.upper) if arm is None else arm.q
+        draw_world(PlanningProblem("scan", robot, scene, start=q, goals=q[None]), args.picture)
+        print(f"picture written to {args.picture}")
+    return 0

@@ -1,0 +1,150 @@
+"""What depth cameras saw, on the command line: files, cameras, filters; and the lines that say what came of them."""
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cli.options import numbers, positive
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.cameras import BoxCrop
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.sensing.scan import Arm, Scan, ScanSettings, scan
+from cvqmpt_lab.sensing.supporting_plane import CAMERA_UP
+
+PLANES = ("keep", "box", "remove")
+CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
+
+
+def add_scan(parser: argparse.ArgumentParser) -> None:
+    """Cameras and filters."""
+    defaults = ScanSettings()
+    cameras = parser.add_argument_group("cameras of the scan; options are repeated in the order of the files")
+    _each_file(
+        cameras, "--intrinsics", "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info"
+    )
+    _each_file(
+        cameras,
+        "--extrinsics",
+        "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + quaternion or rpy, ROS's "
+        "translation + rotation; without, points are in the base frame",
+    )
+    cameras.add_argument(
+        "--scale", type=positive, metavar="M", help="[m] of a unit (1; of a 16-bit image 0.001)"
+    )
+    cameras.add_argument(
+        "--level", choices=("table",), help="find the table, put it level: for a scan without --extrinsics"
+    )
+    cameras.add_argument(
+        "--front",
+        metavar="X,Y,Z",
+        help="where --level puts the middle of the table's near edge (0.3,0,0) [m]",
+    )
+    filters = parser.add_argument_group("filters of the scan")
+    filters.add_argument(
+        "--crop", metavar=",".join(CORNERS), help="keep what lies between two corners [m] (all)"
+    )
+    filters.add_argument(
+        "--voxel",
+        type=positive,
+        default=defaults.voxel,
+        metavar="M",
+        help=f"edge of voxels ({defaults.voxel})",
+    )
+    filters.add_argument(
+        "--robot-margin",
+        type=float,
+        default=defaults.robot_margin,
+        metavar="M",
+        help=f"points this near to the arm are the arm ({defaults.robot_margin})",
+    )
+    filters.add_argument("--arm-at", metavar="Q", help="configuration of the arm when the scan was taken")
+    filters.add_argument(
+        "--neighbours",
+        type=int,
+        default=defaults.neighbours,
+        metavar="N",
+        help=f"points with fewer within three voxels go ({defaults.neighbours})",
+    )
+    filters.add_argument(
+        "--plane", choices=PLANES, default="keep", help="the points of the supporting plane (keep)"
+    )
+    obstacles = parser.add_argument_group("obstacles made of the scan")
+    obstacles.add_argument(
+        "--map", type=positive, default=0.02, metavar="M", help="edge of the cells of an occupancy map (0.02)"
+    )
+    obstacles.add_argument(
+        "--padding", type=float, default=0.0, metavar="M", help="cells are swelled by this (0)"
+    )
+    obstacles.add_argument(
+        "--radius", type=positive, metavar="M", help="balls around the points instead; 0.87 voxels cover all"
+    )
+
+
+def _each_file(group: argparse._ArgumentGroup, option: str, text: str) -> None:
+    group.add_argument(option, action="append", default=[], type=Path, metavar="F.json|yaml", help=text)
+
+
+def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) -> Scan:
+    """Read and clean the files as the options of `add_scan` say; arm: as it stood then."""
+    if args.level and args.extrinsics:
+        raise InvalidInputError("--level and --extrinsics: give one of the two")
+    if args.front and not args.level:
+        raise InvalidInputError(f"--front {args.front!r} is that of --level table; give it")
+    intrinsics = _each("--intrinsics", args.intrinsics, files)
+    extrinsics = _each("--extrinsics", args.extrinsics, files)
+    cameras = zip(files, intrinsics, extrinsics, strict=True)
+    captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
+    changes: dict = {}
+    if args.crop:
+        x, y, z, *upper = numbers("--crop", args.crop, CORNERS)
+        changes["crop"] = BoxCrop((x, y, z), (upper[0], upper[1], upper[2]))
+    if args.front:
+        changes["front"] = tuple(numbers("--front", args.front, ("X", "Y", "Z")))
+    settings = ScanSettings(
+        level=args.level is not None,
+        voxel=args.voxel,
+        robot_margin=args.robot_margin,
+        neighbours=args.neighbours,
+        plane=args.plane,
+        **changes,
+    )
+    return scan(captures, settings, np.random.default_rng(0), arm)
+
+
+def scene_of(args: argparse.Namespace, made: Scan) -> Scene:
+    """The scan as the obstacles that the options say."""
+    return made.scene(args.map, args.padding, args.radius)
+
+
+def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
+    """What belongs to each of the files: one each, or none."""
+    if given and len(given) != len(files):
+        raise InvalidInputError(
+            f"{option} is given {len(given)} times for {len(files)} files; give one for each"
+        )
+    return given or [None] * len(files)
+
+
+def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
+    """The lines a person reads."""
+    names = ", ".join(path.name for path in files)
+    yield f"scan        {names}: {made.steps[0].before} points, {made.unseen} pixels or rows without one"
+    if made.levelled is not None:
+        T, plane = made.levelled
+        tilt = np.degrees(np.arccos(np.clip(plane.normal @ CAMERA_UP, -1.0, 1.0)))
+        yield (
+            f"levelled    by a table of {plane.share:.0%} of the points, flat to {1e3 * plane.residual:.1f} mm: the "
+            f"camera looks {tilt:.1f} deg down from {-plane.offset:.2f} m above it"
+        )
+        quaternion = Rotation.from_matrix(T[:3, :3]).as_quat().round(6).tolist()
+        yield f"extrinsics  {json.dumps({'xyz': T[:3, 3].round(4).tolist(), 'quaternion': quaternion})}"
+    for step in made.steps:
+        yield f"{step.name:11} {step.before} -> {step.after} points"
+    if made.plane is not None:
+        kept = "now a box" if made.table is not None else "gone"
+        yield f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = {made.plane.offset:.3f} m: {kept}"

@@ -1,0 +1,150 @@
+"""`cvqmpt scan` and `cvqmpt plan --cloud`: a file becomes a clean cloud, a scene, a certified path, or one line."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import refused
+from PIL import Image
+
+from cli.main import main
+from cvqmpt_lab.cameras.camera import DepthCamera, Lens
+from cvqmpt_lab.cameras.view import view_of
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.cameras import arm_objects, solids_of
+from cvqmpt_lab.scene.cells import map_of_points
+from cvqmpt_lab.scene.files.by_path import read_scene
+from cvqmpt_lab.scene.files.cloud_writing import write_cloud
+from cvqmpt_lab.scene.files.clouds import read_cloud
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.sensing.camera import Pinhole
+from cvqmpt_lab.sensing.depth_images import write_depth
+from cvqmpt_lab.sensing.filters import near_robot
+
+START, GOAL = "-0.9,0.3,0,-2.0,0,2.3,0.8", "0.9,0.3,0,-2.0,0,2.3,0.8"
+LENS = Lens(width=160, height=120, vertical_fov=60.0, near=0.2)
+EYE = DepthCamera((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, panda):
+    """A depth image of a table, a post and the arm at the start, with its camera; the same as a cloud."""
+    folder = tmp_path_factory.mktemp("scan")
+    objects = (
+        SceneObject("table", Box((0.8, 1.4, 0.04)), pose((0.7, 0.0, -0.02))),
+        SceneObject("post", Box((0.08, 0.08, 0.5)), pose((0.62, 0.0, 0.25))),
+    )
+    view = view_of(solids_of((*objects, *arm_objects(panda, np.fromstring(START, sep=",")))), EYE, LENS)
+    write_depth(folder / "depth.png", view.depth)
+    lens = Pinhole.of(LENS)
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    (folder / "lens.yaml").write_text("".join(f"{name}: {getattr(lens, name)}\n" for name in names))
+    (folder / "pose.json").write_text(json.dumps(EYE.T_world_camera.tolist()))
+    T = EYE.T_world_camera
+    write_cloud(folder / "cloud.ply", (view.points - T[:3, 3]) @ T[:3, :3])
+    return folder
+
+
+@pytest.fixture
+def camera(folder):
+    return ["--intrinsics", folder / "lens.yaml", "--extrinsics", folder / "pose.json"]
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+def test_a_depth_image_becomes_a_clean_cloud_a_scene_and_a_picture(folder, camera, tmp_path, capsys, panda):
+    out = [tmp_path / name for name in ("clean.pcd", "scene.json", "scan.png")]
+    words = ["--arm-at", START, "--plane", "box", "--out", out[0], "--out", out[1], "--picture", out[2]]
+    assert run("scan", folder / "depth.png", *camera, *words) == 0
+    lines = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert lines[:6] == ["scan", "voxels", "robot", "outliers", "supporting", "plane"]
+    points = read_cloud(out[0]).points
+    assert not near_robot(points, panda, np.fromstring(START, sep=","), 0.049).any()
+    scene = read_scene(out[1])
+    assert set(scene.names) == {"scan", "table"} and scene["scan"].shape == map_of_points(points, 0.02)
+    assert Image.open(out[2]).size == (1200, 800)
+
+
+def test_a_scan_without_a_pose_is_levelled(folder, capsys):
+    assert run("scan", folder / "cloud.ply", "--level", "table") == 0
+    said = {line.split()[0]: line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()}
+    assert "deg down from 1.20 m above it" in said["levelled"]
+    assert json.loads(said["extrinsics"])["xyz"][2] == pytest.approx(1.2, abs=0.005)
+
+
+@pytest.mark.parametrize("file", ["depth.png", "cloud.ply"])
+def test_an_unknown_file_becomes_a_certified_path_in_one_command(folder, camera, file, capsys):
+    words = camera if file == "depth.png" else camera[2:]
+    ends = ["--start", START, "--goal", GOAL, "--constraint", "upright"]
+    assert run("plan", "--cloud", folder / file, *words, *ends, "--iterations", 5000) == 0
+    said = capsys.readouterr()
+    assert "rotation about y" in said.out and "certificate valid" in said.out
+    assert "robot " in said.err
+
+
+def test_a_scene_written_by_scan_can_be_planned_in(folder, camera, tmp_path, capsys):
+    assert run("scan", folder / "depth.png", *camera, "--arm-at", START, "--out", tmp_path / "s.json") == 0
+    goal = ["--goal-pose", "0.45,0.35,0.35,3.14,0,0"]
+    assert run("plan", "--scene", tmp_path / "s.json", "--start", START, *goal, "--iterations", 5000) == 0
+    assert "certificate valid" in capsys.readouterr().out
+
+
+def test_a_network_may_be_shown_the_scan_beside_a_suite(folder, camera, capsys):
+    words = ["--cloud", folder / "depth.png", *camera, "--iterations", 1]
+    assert run("plan", "place-task", *words) == 2
+    assert "birrt does not look at a cloud" in capsys.readouterr().err.splitlines()[-1]
+
+
+REFUSED = {
+    "no extrinsics and a level": (["--level", "table"], "--level and --extrinsics: give one of the two"),
+    "crop of five": (["--crop", "0,0,0,1,1"], "--crop '0,0,0,1,1': write finite numbers X0,Y0,Z0"),
+    "crop of nothing": (["--crop", "5,5,5,6,6,6"], "nothing of the scan is left after crop"),
+    "front alone": (["--front", "0.3,0,0"], "is that of --level table"),
+    "one pose too many": (["--extrinsics", "a.json"], "--extrinsics is given 2 times for 1 files"),
+    "start of six": (
+        ["--arm-at", "0,0,0,0,0,0"],
+        "--arm-at '0,0,0,0,0,0': write finite numbers panda_joint1,",
+    ),
+    "arm elsewhere": (
+        ["--arm-at", START, "--robot-margin", "0", "--neighbours", "0"],
+        "the arm stands inside the scan",
+    ),
+    "out": (["--out", "x.obj"], "suffix '.obj'; valid choices: .json, .pcd"),
+    "voxel": (["--voxel", "-1"], "-1"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_meant_is_refused(folder, camera, name, capsys):
+    words, message = REFUSED[name]
+    assert message in refused(capsys, "scan", folder / "depth.png", *camera, *words)
+
+
+REFUSED_PLANS = {
+    "no obstacles": (["--start", START, "--goal", GOAL], "give --cloud or --scene"),
+    "no goal": (
+        ["--cloud", "a.pcd", "--start", START],
+        "a motion needs --start Q, and --goal Q or --goal-pose",
+    ),
+    "constraint": (
+        ["--cloud", "CLOUD", "--start", START, "--goal", GOAL, "--constraint", "uprihgt"],
+        "unknown --constraint 'uprihgt'",
+    ),
+    "value": (
+        ["--cloud", "CLOUD", "--start", START, "--goal", GOAL, "--constraint", "upright=x"],
+        "write finite numbers VALUE",
+    ),
+    "a suite too": (["place-task", "--start", START, "--goal", GOAL], "one of the four"),
+    "no cloud": (["place-task", "--extrinsics", "a.json"], "are of a scan: give --cloud"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED_PLANS)
+def test_a_motion_that_is_not_told_whole_is_refused(folder, name, capsys):
+    words, message = REFUSED_PLANS[name]
+    words = [folder / "cloud.ply" if word == "CLOUD" else word for word in words]
+    pose = ["--extrinsics", folder / "pose.json"] if "CLOUD" in REFUSED_PLANS[name][0] else []
+    assert message in refused(capsys, "plan", *words, *pose)
