@@ -50,7 +50,7 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
     except ValueError:
         found = [math.nan]
     if not found or not all(map(math.isfinite, found)) or len(found) != (len(names) or len(found)):
-        wanted = f"finite numbers {','.join(names)}" if names else "finite numbers separated by commas"
+        wanted = f"{len(names)} numbers, {', '.join(names)}" if names else "numbers separated by commas"
         raise InvalidInputError(f"{option} {text!r}: write {wanted}")
     return found
 

@@ -25,7 +25,7 @@ HEAVY = ("numba", "scipy", "pinocchio", "coal", "ompl", "rerun", "matplotlib", "
         ("plan place-task --backend nope", "'nope'", "compiled, exact"),
         ("plan place-task --seed -1", "-1", "0 or more"),
         ("plan", "--problem-file", "place-task"),
-        ("plan place-task --problem-file x", "--problem-file", "one of the three"),
+        ("plan place-task --problem-file x", "--problem-file", "one of the four"),
         ("plan --problem-file /nope", "/nope", "No such file"),
         ("plan place-task --save /nope/x.rrd", "/nope", "does not exist"),
         ("plan place-task --save-path /nope/x.csv", "/nope", "does not exist"),

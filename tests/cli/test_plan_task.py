@@ -14,7 +14,7 @@ def test_command_line(task, tmp_path, capsys):
         all(phase.name in out for phase in task.phases if isinstance(phase, PlannedPhase)) and "solved" in out
     )
     assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
-    assert "--task-file, one of the three" in capsys.readouterr().err
+    assert "one of the four" in capsys.readouterr().err
     assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--json"]) == 2
     assert "--json does not go with a task" in capsys.readouterr().err
     assert main(["problems", "export", "multi-sequence", "--problems", "1", "--out", str(tmp_path)]) == 0

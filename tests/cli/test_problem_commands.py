@@ -94,8 +94,8 @@ def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--pose", "1 2 3"], "write six numbers, x, y, z, roll, pitch, yaw"),
-        (["--pose", "1 2 3 4 5 six"], "write six numbers"),
+        (["--pose", "1 2 3"], "write 6 numbers, x, y, z, roll, pitch, yaw"),
+        (["--pose", "1 2 3 4 5 six"], "write 6 numbers"),
         (["--region", "{"], "--region is not json"),
         (["--region", '{"psoe": {}}'], "--region.psoe is unknown; did you mean 'pose'?"),
         (["--region", "start_region"], "has no 'start_region'"),

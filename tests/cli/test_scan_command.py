@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from command_line import refused
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from cli.main import main
 from cvqmpt_lab.cameras.camera import DepthCamera, Lens
 from cvqmpt_lab.cameras.view import view_of
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cameras import arm_objects, solids_of
-from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.files.by_path import read_scene
 from cvqmpt_lab.scene.files.cloud_writing import write_cloud
 from cvqmpt_lab.scene.files.clouds import read_cloud
@@ -55,17 +55,25 @@ def run(*words):
     return main([str(word) for word in words])
 
 
-def test_a_depth_image_becomes_a_clean_cloud_a_scene_and_a_picture(folder, camera, tmp_path, capsys, panda):
-    out = [tmp_path / name for name in ("clean.pcd", "scene.json", "scan.png")]
-    words = ["--arm-at", START, "--plane", "box", "--out", out[0], "--out", out[1], "--picture", out[2]]
+def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(folder, camera, tmp_path, capsys, panda):
+    out = [tmp_path / name for name in ("clean.pcd", "scene.json")]
+    words = ["--arm-at", START, "--plane", "box", "--out", out[0], "--out", out[1]]
     assert run("scan", folder / "depth.png", *camera, *words) == 0
     lines = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert lines[:6] == ["scan", "voxels", "robot", "outliers", "supporting", "plane"]
     points = read_cloud(out[0]).points
     assert not near_robot(points, panda, np.fromstring(START, sep=","), 0.049).any()
     scene = read_scene(out[1])
-    assert set(scene.names) == {"scan", "table"} and scene["scan"].shape == map_of_points(points, 0.02)
-    assert Image.open(out[2]).size == (1200, 800)
+    assert set(scene.names) == {"scan", "table"} and scene["scan"].shape.resolution == 0.02
+    off, _ = cKDTree(scene["scan"].shape.centres).query(points, p=np.inf)
+    assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
+
+
+def test_a_picture_shows_what_is_left(folder, camera, tmp_path, capsys):
+    words = ["--voxel", "0.06", "--neighbours", "0", "--picture", tmp_path / "scan.png"]
+    assert run("scan", folder / "depth.png", *camera, *words) == 0
+    assert "picture written to" in capsys.readouterr().out
+    assert Image.open(tmp_path / "scan.png").size == (1200, 800)
 
 
 def test_a_scan_without_a_pose_is_levelled(folder, capsys):
@@ -100,13 +108,13 @@ def test_a_network_may_be_shown_the_scan_beside_a_suite(folder, camera, capsys):
 
 REFUSED = {
     "no extrinsics and a level": (["--level", "table"], "--level and --extrinsics: give one of the two"),
-    "crop of five": (["--crop", "0,0,0,1,1"], "--crop '0,0,0,1,1': write finite numbers X0,Y0,Z0"),
+    "crop of five": (["--crop", "0,0,0,1,1"], "--crop '0,0,0,1,1': write 6 numbers, X0, Y0, Z0"),
     "crop of nothing": (["--crop", "5,5,5,6,6,6"], "nothing of the scan is left after crop"),
     "front alone": (["--front", "0.3,0,0"], "is that of --level table"),
     "one pose too many": (["--extrinsics", "a.json"], "--extrinsics is given 2 times for 1 files"),
     "start of six": (
         ["--arm-at", "0,0,0,0,0,0"],
-        "--arm-at '0,0,0,0,0,0': write finite numbers panda_joint1,",
+        "--arm-at '0,0,0,0,0,0': write 7 numbers, panda_joint1,",
     ),
     "arm elsewhere": (
         ["--arm-at", START, "--robot-margin", "0", "--neighbours", "0"],
@@ -135,7 +143,7 @@ REFUSED_PLANS = {
     ),
     "value": (
         ["--cloud", "CLOUD", "--start", START, "--goal", GOAL, "--constraint", "upright=x"],
-        "write finite numbers VALUE",
+        "write 1 numbers, VALUE",
     ),
     "a suite too": (["place-task", "--start", START, "--goal", GOAL], "one of the four"),
     "no cloud": (["place-task", "--extrinsics", "a.json"], "are of a scan: give --cloud"),
