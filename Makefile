@@ -1,14 +1,17 @@
-# make venv | reproduce | test | trust | lint | bench | clean. All but the first call make venv.
+# make venv | reproduce | test | trust | lint | bench | clean. All but the first make the environment they need.
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+DEVELOPER := .venv/.installed-dev
+PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help venv reproduce test lint warmup check-tables pytest trust bench clean
+.PHONY: help venv venv-dev reproduce test lint warmup check-tables pytest trust bench clean
 
 help:
-	@echo "make venv        .venv with everything pinned in constraints.txt (PYTHON=python3.11 picks another)"
+	@echo "make venv        .venv to plan and reproduce with, pinned in constraints.txt (PYTHON=python3.11 picks another)"
+	@echo "make venv-dev    the same with torch and tools, to train, test and develop"
 	@echo "make reproduce   20 problems of the place task, all planners, and their table"
 	@echo "make test        lint, table regression, tests"
 	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
@@ -22,7 +25,13 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "Python 3.11 or newer is needed: make venv PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	$(PIP) -e .
+	@touch $@
+
+venv-dev: $(DEVELOPER)
+
+$(DEVELOPER): $(STAMP)
+	$(PIP) -e '.[dev,train]'
 	@touch $@
 
 warmup: venv
@@ -31,7 +40,7 @@ warmup: venv
 reproduce: warmup
 	$(BIN)/cvqmpt reproduce place-task --problems 20 --seeds 1 --cutoff 10 --out runs/place-task-small
 
-lint: venv
+lint: venv-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -40,13 +49,13 @@ lint: venv
 check-tables: venv
 	$(BIN)/cvqmpt check-tables
 
-pytest: venv
+pytest: venv-dev
 	$(BIN)/pytest -n 2
 
 # Tests come last, so that their summary is the last thing printed.
 test: lint warmup check-tables pytest
 
-trust: warmup
+trust: venv-dev warmup
 	nice $(BIN)/cvqmpt trust --long --record docs/guarantees.md
 
 bench: warmup

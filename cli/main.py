@@ -7,7 +7,7 @@ import re
 import sys
 from typing import Any, NoReturn
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_torch
 
 COMMANDS = {
     "plan": "plan one problem and print a short report",
@@ -26,6 +26,8 @@ COMMANDS = {
     "bench": "measure kernels, collision checks, planners and free motions",
     "warmup": "compile all kernels ahead of time",
 }
+
+NEED_TORCH = ("train",)
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Small networks are several times slower on many threads, and runs share the cores already."""
@@ -84,6 +86,8 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
             name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         if name == asked:  # only the command in use pays for its imports
+            if name in NEED_TORCH:
+                require_torch(f"cvqmpt {name}")
             module = _module(name)
             sub.epilog = "examples:\n" + "\n".join("  " + line for line in module.EXAMPLES)
             module.add_arguments(sub)

@@ -9,7 +9,6 @@ from pathlib import Path
 from cli.motion_options import add_motion, motion_given, motion_problem, scanned
 from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
-from cli.plan_task import run_task
 from cli.planner_options import add_budget, budget
 from cli.robot_options import add_robot, robot_source
 from cli.scan_options import add_scan
@@ -22,9 +21,10 @@ from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.rehearsal import rehearse
+from cvqmpt_lab.robot.limits import SLOW
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.table import SUITES, suite_named
-from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
@@ -101,10 +101,12 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
     problem = _asked(args)
     if isinstance(problem, Task):
+        from cli.plan_task import run_task  # timing needs scipy.interpolate, half a second to import
+
         return run_task(args, problem)
     method = _method(args, problem)
     _check_timing(args, problem)
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    rehearse(problem, method, args.backend, lambda text: print(text, file=sys.stderr, flush=True))
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
     solution = solve(problem, method, budget(args), args.seed, backend=args.backend)
@@ -160,7 +162,6 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
             raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
         return
     from cvqmpt_lab.trajectory.export import file_type
-    from cvqmpt_lab.trajectory.timing import SLOW
 
     file_type(args.trajectory)
     args.speed = SLOW if args.speed is None else args.speed

@@ -7,9 +7,10 @@ from cli.planner_options import budget
 from cli.show_options import show_task
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.robot.limits import SLOW
 from cvqmpt_lab.tasks.solve_task import TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.trajectory.timing import SLOW, TimingSettings
+from cvqmpt_lab.trajectory.timing import TimingSettings
 from experiments.warmup import compile_kernels
 
 OF_PROBLEMS = ("cloud", "json", "save_path", "trajectory", "view")

@@ -2,12 +2,15 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cli.options import writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.tasks.solve_task import TaskSolution
 
 RECORDING = ".rrd"
 FILMS = (".gif", ".mp4")
@@ -76,7 +79,7 @@ def show_solution(
     return lines
 
 
-def show_task(args: argparse.Namespace, solution: TaskSolution) -> list[str]:
+def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
     """Write what was asked for; a line for each."""
     lines = []
     if args.save and args.save.suffix in FILMS:

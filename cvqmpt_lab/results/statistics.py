@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binom, binomtest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow, natural_key
@@ -60,6 +59,8 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> I
     _checked_confidence(confidence)
     if n == 0:
         return UNDEFINED
+    from scipy.stats import binomtest  # half a second to import, for those who make tables alone
+
     bounds = binomtest(successes, n).proportion_ci(confidence, method="wilson")
     return Interval(successes / n, float(bounds.low), float(bounds.high), n)
 
@@ -82,6 +83,8 @@ def median_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interv
     n, tail = len(ordered), (1.0 - _checked_confidence(confidence)) / 2.0
     if n == 0:
         return UNDEFINED
+    from scipy.stats import binom
+
     rank = max(1, int(binom.ppf(tail, n, 0.5)))
     coverage = max(0.0, float(1.0 - 2.0 * binom.cdf(rank - 1, n, 0.5)))
     median = float(ordered[(n - 1) // 2] / 2 + ordered[n // 2] / 2)

@@ -11,6 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 
+SLOW = 0.1  # of the limits: 0.2 rad/s on the Panda, the pace of first tries on a real arm
 PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2], data sheet; velocities: its URDF
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.limits import SLOW, JointLimits
 from cvqmpt_lab.trajectory.curve import SmoothCurve, checked_waypoints, smooth_curve
 from cvqmpt_lab.trajectory.speed_profile import squared_speeds
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-SLOW = 0.1  # of the limits: 0.2 rad/s on the Panda, the pace of first tries on a real arm
 CHECKS = 5  # places an interval, ends included, at which limits are looked at again
 TIGHTENINGS = 3  # how often a refused curve is drawn closer to the path, each time to a quarter
 

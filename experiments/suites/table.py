@@ -7,10 +7,10 @@ from functools import partial
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.limits import SLOW
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.trajectory.timing import SLOW
 from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
 from experiments.suites.door_task import door_problem
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS

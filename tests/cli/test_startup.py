@@ -1,0 +1,79 @@
+"""What a plan from the shell does not import, and that planning and tables need no torch."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cvqmpt_lab.methods.table import PLANNERS
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = (
+    "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib", "cvxpy", "ompl",
+    "PIL", "rerun", "trimesh", "collada", "paper_tables.place_task",
+)  # fmt: skip
+IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
+LEARNED = ("safetensors", "cvqmpt_lab.prediction")
+REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """Environment of a machine without torch."""
+    folder = tmp_path_factory.mktemp("bare") / "torch"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("raise ImportError('torch is not installed here')\n")
+    path = os.pathsep.join(filter(None, (str(folder.parent), str(ROOT), os.environ.get("PYTHONPATH"))))
+    return os.environ | {"PYTHONPATH": path}
+
+
+def python(code, env=None):
+    """What a fresh process prints on its last line."""
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+def imported(*words):
+    """Modules that a command has imported in the end."""
+    run = f"from cli.main import main; assert main({list(words)!r}) == 0; " if words else ""
+    return set(json.loads(python(run + REPORT)))
+
+
+def test_a_classical_plan_imports_nothing_heavy():
+    modules = imported("plan", "place-task", "--problem", "3", "--planner", "birrt")
+    assert "cvqmpt_lab.pipeline" in modules
+    assert not modules & {*HEAVY, *LEARNED}
+
+
+def test_a_learned_plan_reads_weights_and_imports_nothing_else():
+    modules = imported("plan", "place-task", "--problem", "3", "--planner", "opt-cvq-mpt")
+    assert modules >= {*LEARNED}
+    assert not modules & {*HEAVY}
+
+
+def test_the_package_alone_imports_next_to_nothing():
+    modules = set(json.loads(python("import cvqmpt_lab, cli.main; " + REPORT)))
+    assert not modules & {"numpy", "numba", "scipy", "pinocchio", *HEAVY, *LEARNED}
+
+
+def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
+    words = ["reproduce", "place-task", "--problems", "1", "--seeds", "1", "--cutoff", "10", "--jobs", "1"]
+    words += ["--planners", "all", "--out", str(tmp_path / "run")]
+    code = f"from cli.main import main; raise SystemExit(main({words!r}))"
+    done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    rows = (tmp_path / "run" / "runs.csv").read_text().splitlines()[1:]
+    assert len(rows) == len(PLANNERS)
+    assert not [row for row in rows if "torch" in row]
+
+
+def test_what_needs_torch_says_how_to_get_it():
+    code = "import sys; sys.modules['torch'] = None; from cli.main import main; print(main({!r}))"
+    for words in (["train", "stage1", "--data", "d", "--out", "o"], ["model", "import", *IMPORT]):
+        done = subprocess.run([sys.executable, "-c", code.format(words)], capture_output=True, text=True)
+        assert done.stdout.splitlines()[-1] == "2", done.stderr
+        assert "pip install 'cvqmpt-lab[train]'" in done.stderr and done.stderr.count("\n") == 1
