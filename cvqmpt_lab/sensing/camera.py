@@ -122,7 +122,8 @@ def _rigid(data: Any) -> Any:
         return from_plain(Placement, ordered, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     turn = T[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() <= ROUNDED and np.linalg.det(turn) > 0.0:
+    rounded = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() <= ROUNDED
+    if rounded and np.linalg.det(turn) > 0.0:
         T[:3, :3] = Rotation.from_matrix(turn).as_matrix()
     return T
 
