@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables.cells import Lines, bounds, estimate, latex_table, markdown_table, number
+from paper_tables.cells import Lines, bounds, latex_table, markdown_table, number
 from paper_tables.multi_sequence_summary import (
     PHASE_COLUMNS,
     TIMES,
@@ -14,6 +14,7 @@ from paper_tables.multi_sequence_summary import (
     time_metric,
 )
 from paper_tables.paper_numbers import PublishedValue
+from paper_tables.statements import statement_lines
 from paper_tables.summary import BriefColumn, PlannerSummary, Rendered, brief_lines, count_lines, csv_of
 
 PARTS: Mapping[str, str] = {
@@ -55,7 +56,7 @@ def render_multi_sequence(rows: Iterable[ResultRow], published: Sequence[Publish
 def render_markdown(table: PhasesTable) -> str:
     """Table II for both sets of phases, statements, the breakdown by phase, fallbacks, failures and notes."""
     parts = {f"{table.n_tasks} tasks, {PARTS[part]}": _time_lines(table.planners, part) for part in PARTS}
-    parts["What the paper says"] = _statement_lines(table)
+    parts["What the paper says"] = statement_lines(table.verdicts)
     parts["By phase (medians over the runs that reached it)"] = _phase_lines(table)
     parts["Fallbacks"] = count_lines(table.planners, "fallbacks")
     parts["Failures"] = count_lines(table.planners, "failures")
@@ -76,16 +77,6 @@ def _time_lines(planners: Sequence[PlannerSummary], part: str) -> Lines:
             line += [planner.paper_cell(time)] if part == "paper" else []
             line += [planner.cell(time_metric(time, part, statistic)) for statistic in ("mean", "median")]
         lines.append(line)
-    return lines
-
-
-def _statement_lines(table: PhasesTable) -> Lines:
-    lines = [["statement", "against", "paper's numbers [%]", "ours [%]", "n", "verdict"]]
-    for item in table.verdicts:
-        paper = "–" if item.paper is None else f"{100.0 * item.paper:.1f}"
-        text = f"{item.statement.planner} {item.statement.text}"
-        ours = item.ours.scaled(100.0)
-        lines.append([text, item.baseline, paper, estimate(ours), str(ours.n), item.verdict])
     return lines
 
 

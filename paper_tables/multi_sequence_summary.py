@@ -10,8 +10,9 @@ from operator import attrgetter
 from cvqmpt_lab.results.phase_name import split_problem
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
 from cvqmpt_lab.results.statistics import Interval, median_interval
-from paper_tables.comparison import Statistic, Value, censored, mean, network_time, paired_ratio, share
+from paper_tables.comparison import Statistic, Value, censored, mean, network_time, share
 from paper_tables.paper_numbers import PublishedValue, notes_on
+from paper_tables.statements import Statement, Verdict, judged
 from paper_tables.summary import Metric, PlannerSummary, Runs, by_planner, rows_of_one_suite, summarised
 
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
@@ -131,35 +132,10 @@ def _median_in(phase: str, value: Value) -> Callable[[Runs], Interval]:
     return lambda runs: median_interval(censored(reached(runs.rows, phase), value))
 
 
-@dataclass(frozen=True)
-class Statement:
-    """A sentence of the paper about its times: `planner` needs `reduction` (a fraction) less than `baseline`."""
-
-    text: str
-    metric: str
-    reduction: float
-    planner: str = "opt-cvq-mpt"
-    baselines: tuple[str, ...] = ("ompl-projected", "atlas-rrt", "tb-rrt")
-
-
 STATEMENTS = (
     Statement("reduces planning time by 45 %", "planning_time", 0.45),
     Statement("reduces execution time by 18 %", "execution_time", 0.18),
 )
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A statement against one baseline."""
-
-    statement: Statement
-    baseline: str
-    paper: float | None
-    """What the paper's own numbers say, as a fraction."""
-    ours: Interval
-    """What ours say."""
-    verdict: str
-    """In words."""
 
 
 @dataclass(frozen=True)
@@ -197,44 +173,11 @@ def build_phases_table(rows: Iterable[ResultRow], published: Sequence[PublishedV
             summarised(name, Runs(group), published, measured)
             for name, group in by_planner(rows, published).items()
         ),
-        verdicts=tuple(
-            _verdict(statement, baseline, task_rows(rows, PAPER_PHASES), published)
-            for statement in STATEMENTS
-            for baseline in statement.baselines
-            if {statement.planner, baseline} <= run
+        verdicts=judged(
+            STATEMENTS,
+            task_rows(rows, PAPER_PHASES),
+            published,
+            {time: value for time, (_, value) in TIMES.items()},
         ),
         published_notes=tuple(notes_on(value for value in published if value.planner in run)),
     )
-
-
-def _verdict(
-    statement: Statement, baseline: str, tasks: Sequence[ResultRow], published: Sequence[PublishedValue]
-) -> Verdict:
-    """The ratio over tasks and seeds that both solved, of the phases that the paper times."""
-    numbers = {value.planner: float(value.value) for value in published if value.metric == statement.metric}
-    paper = None
-    if statement.planner in numbers and baseline in numbers:
-        paper = 1.0 - numbers[statement.planner] / numbers[baseline]
-    ratio = paired_ratio(
-        [row for row in tasks if row.planner == statement.planner],
-        [row for row in tasks if row.planner == baseline],
-        TIMES[statement.metric][1],
-    )
-    ours = Interval(_less(ratio.estimate), _less(ratio.high), _less(ratio.low), ratio.n)
-    return Verdict(statement, baseline, paper, ours, _in_words(statement, ours))
-
-
-def _less(ratio: float | None) -> float | None:
-    return None if ratio is None else 1.0 - ratio
-
-
-def _in_words(statement: Statement, ours: Interval) -> str:
-    if ours.estimate is None or ours.low is None or ours.high is None:
-        return "not judged: too few tasks that both solved"
-    if ours.low >= statement.reduction:
-        return "confirmed"
-    if ours.high >= statement.reduction:
-        return "compatible: the interval contains it"
-    if ours.low > 0.0:
-        return "less than stated"
-    return "not confirmed: slower" if ours.high < 0.0 else "not confirmed: no clear difference"
