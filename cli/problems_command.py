@@ -12,6 +12,7 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.sensor import SensedProblem
 from experiments.suites.table import SUITES, suite_named
 
 EXAMPLES = (
@@ -94,7 +95,7 @@ def _each(args: argparse.Namespace, act: Callable[[int, PlanningProblem | Task],
             unsolvable += 1
             print(f"{index}: unsolvable, {problem.reason}")
         else:
-            act(index, problem)
+            act(index, problem.problem if isinstance(problem, SensedProblem) else problem)
         if args.action == "export":
             bar(done, len(indices))
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")

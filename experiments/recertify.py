@@ -16,6 +16,7 @@ from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sort
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.tasks.goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
+from experiments.suites.sensor import SensedProblem
 from experiments.suites.table import suite_named
 
 LENGTH_TOLERANCE = 1e-9
@@ -62,6 +63,7 @@ def _run(row: ResultRow) -> RunKey:
 def _verdicts(item: object, rows: list[ResultRow], paths: KeptPaths) -> Iterator[Verdict]:
     """Verdicts on the rows of one run, of a problem or of the phases of a task."""
     rows = [row for row in rows if row.path_sha256]
+    item = item.problem if isinstance(item, SensedProblem) else item
     if not isinstance(item, PlanningProblem | Task):
         for row in rows:
             yield Verdict(row, None, f"suite {row.suite} has no problem {row.item!r} now")

@@ -1,11 +1,13 @@
 """From a run to its result rows: one of a problem, one for each planned phase of a task."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, solve
@@ -18,8 +20,9 @@ from cvqmpt_lab.tasks.phases import PlannedPhase
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.sensor import SensedProblem
 
-Item = PlanningProblem | UnsolvableProblem | Task
+Item = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 """What a suite is made of."""
 
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
@@ -69,16 +72,32 @@ class Outcome:
 def outcome_of(run: Run, item: Item, goal_seconds: float) -> Outcome:
     """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner."""
     if isinstance(item, UnsolvableProblem):
-        return Outcome(failed_rows(run, item, FailReason.NO_START, item.reason))
+        return Outcome(failed_rows(run, item, item.kind, item.reason))
     if isinstance(item, Task):
         task = solve_task(item, run.method, run.budget, run.seed, backend=run.backend)
         return Outcome(phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes]))
+    if isinstance(item, SensedProblem):
+        return _sensed(run, item)
     solution = solve(item, run.method, run.budget, run.seed, backend=run.backend)
     return Outcome([result_row(run, solution, goal_seconds)], _states([solution]))
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
     return [solution.simplified.path.states for solution in solutions if solution.simplified]
+
+
+def _sensed(run: Run, item: SensedProblem) -> Outcome:
+    """A problem in a map, whose path is also judged in the scene that the map is of."""
+    began = time.perf_counter()
+    solution = solve(item.problem, run.method, run.budget, run.seed, backend=run.backend)
+    whole = item.seconds + time.perf_counter() - began
+    row = replace(result_row(run, solution, 0.0), t_sense_s=item.seconds, t_whole_s=whole)
+    if solution.simplified is None:
+        return Outcome([row])
+    truth = certify(item.true_problem, solution.simplified.path)
+    hits = [fault for fault in truth.faults if fault.kind is FaultKind.COLLISION]
+    row = replace(row, true_free=not hits, true_clearance_m=_defined(truth.min_clearance_m))
+    return Outcome([row], _states([solution]))
 
 
 def failed_rows(run: Run, item: Item, reason: FailReason, detail: str) -> list[ResultRow]:

@@ -178,7 +178,11 @@ class PlaceTable:
     n_hard: int
 
 
-def build_place_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> PlaceTable:
+def build_place_table(
+    rows: Iterable[ResultRow],
+    published: Sequence[PublishedValue],
+    metrics: Mapping[str, Metric] = METRICS,
+) -> PlaceTable:
     """Summarise the rows of one suite beside the paper's numbers.
 
     Planners come in the paper's order, then any others by name; those that were not run are left out. A
@@ -206,7 +210,7 @@ def build_place_table(rows: Iterable[ResultRow], published: Sequence[PublishedVa
         n_joint=len(joint),
         curve_times=CURVE_TIMES[: sum(time < slowest for time in CURVE_TIMES) + 1],
         planners=tuple(
-            summarised(name, Runs(group, frozenset(joint), baselines, split), published, METRICS)
+            summarised(name, Runs(group, frozenset(joint), baselines, split), published, metrics)
             for name, group in groups.items()
         ),
         footnotes=tuple(_footnotes(groups, solving, len(joint))),

@@ -13,6 +13,8 @@ from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.multi_sequence_render import render_multi_sequence
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_render import render_place
+from paper_tables.robustness_render import render_robustness
+from paper_tables.sensor_render import render_sensor
 from paper_tables.summary import Rendered, rows_of_one_suite
 
 
@@ -40,6 +42,12 @@ TABLES: Mapping[str, SuiteTable] = {
     "robots-ur5": SuiteTable("UR5 in held-out scenes, hand upright"),
     "robots-xarm7": SuiteTable("xArm7 in held-out scenes, hand upright"),
     "robots-tiago": SuiteTable("Arm and torso of TIAGo in held-out scenes, hand upright"),
+    "sensor": SuiteTable(
+        "Scanned scenes, hand upright: planned in the map, judged in truth",
+        render_sensor,
+        ("place_task.csv", "Physical robot"),
+    ),
+    "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", render_robustness),
     "open-door": SuiteTable("Open the shelf's door, the hand on its handle"),
     "multi-sequence": SuiteTable(
         "Multi-sequence task: open the shelf, take the can, stand it on the counter",

@@ -17,6 +17,7 @@ from experiments.figures.drawing import hand_figure, histogram_figure, save_figu
 from experiments.figures.hand_poses import hand_change, write_hands
 from experiments.figures.histogram import code_changes, write_tables
 from experiments.figures.latent_update import FAR, LatentUpdate, UpdateSettings, update_latents
+from experiments.figures.robustness import draw_robustness
 from experiments.suites.table import suite_named
 
 SUITE = "place-task"
@@ -35,7 +36,7 @@ class FigureRequest:
 
     def __post_init__(self) -> None:
         if self.figure not in FIGURES:
-            raise UnknownChoiceError("figure", self.figure, FIGURES)
+            raise UnknownChoiceError("figure", self.figure, [*FIGURES, *ROW_FIGURES])
 
 
 def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[LatentUpdate, list[Path]]:
@@ -89,6 +90,9 @@ FIGURES: Mapping[str, Callable[[LatentUpdate, Path], list[Path]]] = {
     "concept": _concept,
 }
 """Figures by name, each drawn into a folder; they return what they wrote."""
+
+ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {"robustness": draw_robustness}
+"""Figures of a folder of rows, drawn beside them."""
 
 
 def summary(update: LatentUpdate) -> list[str]:

@@ -21,6 +21,7 @@ PANDA = {"name": "panda"}
 PROBLEMS = range(50)
 DRAWS = 4000  # configurations drawn for start and goal
 APART = 2.0  # [rad] start and goal at least
+CLEAR = 0.001  # [m] that start and goal keep from obstacles
 TRIES = 200  # pairs looked at for one whose straight motion is blocked
 
 
@@ -32,17 +33,27 @@ def family_problem(
     robot = robot_from_source(robot_source)
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(str(number), robot, scene, middle, middle[None], (upright(),))
-    space, rng = ConstrainedSpace(problem), np.random.default_rng([number, 7])
-    states = robot.random_configurations(rng, DRAWS)
+    pair = blocked_pair(problem, np.random.default_rng([number, 7]), CLEAR)
+    if pair is None:
+        return UnsolvableProblem(
+            str(number), f"no two upright free states of {scene.name} with a blocked straight motion"
+        )
+    return replace(problem, start=pair[0], goals=pair[1][None])
+
+
+def blocked_pair(
+    problem: PlanningProblem, rng: np.random.Generator, clear: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between them blocked."""
+    space = ConstrainedSpace(problem)
+    states = problem.robot.random_configurations(rng, DRAWS)
     states = states[[space.project(q) for q in states]]
     states = states[space.valid_batch(states)]
-    checker = problem.collision_checker(0.001)
+    checker = problem.collision_checker(clear)
     for _ in range(TRIES if len(states) > 1 else 0):
         start, goal = states[rng.choice(len(states), 2, replace=False)]
         if np.linalg.norm(goal - start) < APART or motion_free(space.arrays, start, goal):
             continue
         if not (checker.in_collision(start) or checker.in_collision(goal)):
-            return replace(problem, start=start, goals=goal[None])
-    return UnsolvableProblem(
-        str(number), f"no two upright free states of {scene.name} with a blocked straight motion"
-    )
+            return start, goal
+    return None

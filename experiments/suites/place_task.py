@@ -15,6 +15,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
@@ -38,6 +39,8 @@ class UnsolvableProblem:
 
     name: str
     reason: str
+    kind: FailReason = FailReason.NO_START
+    """What its rows are counted as."""
 
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeAlias
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import PLANNERS, WITHOUT_WEIGHTS
@@ -19,9 +20,17 @@ from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.suites.other_robots import PROBLEMS as ROBOT_PROBLEMS
 from experiments.suites.other_robots import ROBOTS, other_robot_problem
 from experiments.suites.place_task import ENVIRONMENTS, UnsolvableProblem, carried_can, place_problem
+from experiments.suites.scanned_scenes import SCENES
+from experiments.suites.sensor import SensedProblem, sensor_problem
+from experiments.suites.sensor_robustness import PLANNERS as ROBUST_PLANNERS
+from experiments.suites.sensor_robustness import PROBLEMS as VARIED
+from experiments.suites.sensor_robustness import robustness_problem
 
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
 """Planners for problems that no shipped weights fit."""
+
+
+SuiteItem: TypeAlias = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,7 @@ class Suite:
 
     name: str
     problems: Sequence[int]
-    make: Callable[[int], PlanningProblem | UnsolvableProblem | Task]
+    make: Callable[[int], SuiteItem]
     planners: Sequence[str] = tuple(PLANNERS)
     """Those that are run unless others are named."""
     carried: tuple[Attachment, ...] = ()
@@ -38,7 +47,7 @@ class Suite:
     settings: Mapping[str, object] = field(default_factory=dict)
     """What else decides its rows, as json values."""
 
-    def item(self, index: int) -> PlanningProblem | UnsolvableProblem | Task:
+    def item(self, index: int) -> SuiteItem:
         """Problem or task `index`; InvalidInputError names the valid range."""
         if index not in self.problems:
             raise InvalidInputError(
@@ -48,11 +57,11 @@ class Suite:
         return self.make(index)
 
     def solvable(self, index: int) -> PlanningProblem | Task:
-        """The same; InvalidInputError where there is no problem."""
+        """The same, of a scanned scene the problem in its map; InvalidInputError where there is no problem."""
         item = self.item(index)
         if isinstance(item, UnsolvableProblem):
             raise InvalidInputError(f"problem {index} of {self.name} has no solution: {item.reason}")
-        return item
+        return item.problem if isinstance(item, SensedProblem) else item
 
 
 SUITES: Mapping[str, Suite] = {
@@ -66,6 +75,8 @@ SUITES: Mapping[str, Suite] = {
             Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)
             for name in ROBOTS
         ),
+        Suite("sensor", SCENES, sensor_problem),
+        Suite("sensor-robustness", VARIED, robustness_problem, ROBUST_PLANNERS),
         Suite("multi-sequence", TASKS, multi_sequence_task, settings={"speed": SLOW}),
     )
 }

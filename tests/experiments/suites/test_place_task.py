@@ -22,6 +22,8 @@ from experiments.suites.place_task import (
     grasp_region,
     place_problem,
 )
+from experiments.suites.scanned_scenes import SCENES
+from experiments.suites.sensor_robustness import variants
 from experiments.suites.table import SUITES, Suite, suite_named
 
 SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
@@ -98,10 +100,17 @@ def test_problems_repeat(problem):
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
     last = len(suite_named(suite).problems) - 1
-    sizes = {"place-task": 150, "place-task-with-can": 150, "multi-sequence": 10, "open-door": 10}
+    sizes = {
+        "place-task": 150,
+        "place-task-with-can": 150,
+        "multi-sequence": 10,
+        "open-door": 10,
+        "sensor": 10,
+    }
     sizes |= {name: 20 for name in SUITES if name.startswith("robots-")}
+    sizes |= {"sensor-robustness": len(SCENES) * len(variants())}
     assert last + 1 == sizes.get(suite, 50)
-    assert suite_named(suite).item(last).name == str(last)
+    assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
     for index in (-1, last + 1, 1000):
         with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"):
             suite_named(suite).item(index)

@@ -1,0 +1,86 @@
+"""Scanned scenes: fair starts and goals, cameras in the open, maps that repeat, paths judged in map and truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.results.row import FailReason
+from cvqmpt_lab.scene.cameras import solids_of
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Sphere
+from experiments.rows import Run, outcome_of
+from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.scanned_scenes import ROOM, SCENES, scanned_scene
+from experiments.suites.sensor import SensedProblem, Sensing, sensor_problem
+from experiments.suites.sensor_robustness import LEVELS, PROBLEMS, robustness_problem, setting, variants
+from experiments.suites.table import suite_named
+
+ENOUGH = Budget(iterations=20_000)
+
+
+@pytest.fixture(scope="module")
+def sensed():
+    return sensor_problem(1)
+
+
+@pytest.mark.parametrize("number", [0, 5])
+def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
+    scanned, again = scanned_scene(number), scanned_scene(number)
+    truth = scanned.truth
+    np.testing.assert_array_equal(truth.start, again.truth.start)
+    assert scanned.cameras == again.cameras and len(scanned.cameras) == 4
+    for q in (truth.start, truth.goals[0]):
+        assert not truth.collision_checker(ROOM - 1e-4).in_collision(q)
+        np.testing.assert_allclose(truth.manifold.residual(q), 0.0, atol=1e-3)
+    for camera in scanned.cameras:
+        for solid in solids_of(truth.scene.obstacles):
+            T = solid.T_world_solid
+            away = (np.array(camera.eye) - T[:3, 3]) @ T[:3, :3]
+            assert (np.abs(away) > np.abs(solid.corners).max(axis=0)).any()
+
+
+def test_the_same_number_gives_the_same_map_and_another_noise_another(sensed):
+    again, other = sensor_problem(1), sensor_problem(1, Sensing(noise=2.0))
+    assert again.problem.scene == sensed.problem.scene != other.problem.scene
+    assert again.truth == other.truth and sensed.seconds > 0.0
+
+
+def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
+    """A ball in the way that no camera saw: certified in the map, not free in truth."""
+    run = Run("sensor", 1, "birrt", 0, ENOUGH)
+    (row,) = outcome_of(run, sensed, 0.0).rows
+    assert row.solved and row.true_free and row.true_clearance_m > 0.0
+    assert row.t_whole_s > row.t_sense_s == sensed.seconds
+    path = suite_named("sensor").solvable(1)
+    hand = path.robot.pose(path.goals[0])[:3, 3]
+    ball = SceneObject("unseen", Sphere(0.05), pose(hand))
+    (row,) = outcome_of(run, replace(sensed, truth=Scene("t", (*sensed.truth.objects, ball))), 0.0).rows
+    assert row.solved and row.true_free is False and row.true_clearance_m < 0.0
+
+
+def test_a_goal_that_the_map_takes_for_occupied_is_a_failure_that_says_so():
+    found = [sensor_problem(7, Sensing(padding=padding)) for padding in (0.04, 0.3)]
+    assert isinstance(found[0], SensedProblem) and isinstance(found[1], UnsolvableProblem)
+    (row,) = outcome_of(Run("sensor", 7, "birrt", 0, ENOUGH), found[1], 0.0).rows
+    assert row.fail_reason in (FailReason.INVALID_START, FailReason.INVALID_GOAL)
+    assert "in the map" in row.detail
+
+
+def test_fewer_pixels_and_more_cameras_change_what_is_known():
+    few, many = sensor_problem(1, Sensing(pixels=2_500)), sensor_problem(1, Sensing(cameras=4))
+    sizes = [len(item.problem.scene.objects[0].shape.cells) for item in (few, sensor_problem(1), many)]
+    assert sizes[0] < 0.5 * sizes[1] < sizes[1] < sizes[2]
+
+
+def test_every_variant_differs_from_the_default_in_one_thing_and_is_named():
+    default, *others = variants()
+    assert default == Sensing() and len(PROBLEMS) == len(SCENES) * (1 + len(others))
+    words = setting(default).split()
+    for other in others:
+        assert sum(a != b for a, b in zip(words, setting(other).split(), strict=True)) == 1
+    assert {word.partition("=")[0] for word in words} == set(LEVELS)
+    item = robustness_problem(11)
+    assert item.problem.name == f"11/2-{setting(variants()[1])}"
