@@ -16,6 +16,7 @@ _HOME = {
     "load_robot": "robot.loading",
     "planner_named": "methods.table",
     "solve": "pipeline",
+    "solve_many": "pipeline",
     "solve_task": "tasks.solve_task",
 }
 """Each public name and the module it lives in; a module is imported when a name of it is first used."""

@@ -2,7 +2,9 @@
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -96,6 +98,26 @@ def solve(
     shorter = simplify(space, plan.path, rng, simplification)
     certificate = certify(problem, shorter.path, clearance=clearance)
     return Solution(problem, plan, shorter, certificate, goal_seconds, observation.seconds)
+
+
+def solve_many(
+    problems: Sequence[PlanningProblem], method: Method | str, budget: Budget, seed: int = 0, **options: Any
+) -> list[Solution]:
+    """Solve problems one after the other, those of one scene together, so that its arrays are made once.
+
+    Options and errors are those of `solve`; each solution is the one that it gives. Solutions come in the order of
+    the problems.
+    """
+    method = planner_named(method) if isinstance(method, str) else method
+    scenes: dict[Any, list[int]] = {}
+    for index, problem in enumerate(problems):
+        scenes.setdefault((problem.scene, problem.robot), []).append(index)
+    found = {
+        index: solve(problems[index], method, budget, seed, **options)
+        for together in scenes.values()
+        for index in together
+    }
+    return [found[index] for index in range(len(problems))]
 
 
 def no_plan(status: PlanStatus) -> PlanResult:

@@ -21,7 +21,9 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.random_scenes import random_scene
 from experiments.bench.collision import STATES, bench_collision
+from experiments.bench.networks import bench_networks
 from experiments.bench.stages import bench_growth, bench_stages
+from experiments.bench.throughput import bench_throughput
 from experiments.bench.timing import Figure, calibration, single, spread, timed
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
@@ -177,6 +179,8 @@ BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
     "collision": lambda problems, states: bench_collision(_tuning_problems(1)[0], states),
     "planners": lambda problems, states: bench_planners(problems),
     "stages": lambda problems, states: bench_stages(list(_place_problems(problems))),
+    "networks": lambda problems, states: bench_networks(_tuning_problems(problems)),
+    "throughput": lambda problems, states: bench_throughput(problems),
     "growth": lambda problems, states: bench_growth(_tuning_problems(1)[0]),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
 }

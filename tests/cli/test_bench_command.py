@@ -9,7 +9,12 @@ from cli.main import main
 
 @pytest.mark.parametrize(
     ("bench", "figure"),
-    [("kernels", "projection, uniform sample"), ("unconstrained", "random scenes: first path")],
+    [
+        ("kernels", "projection, uniform sample"),
+        ("unconstrained", "random scenes: first path"),
+        ("networks", "latent update, 5 steps"),
+        ("throughput", "birrt, 1 worker: rate"),
+    ],
 )
 def test_benches_print_their_figures_and_write_them(capsys, tmp_path, bench, figure):
     """That they run; times are nobody's pass or fail."""
