@@ -22,6 +22,7 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.random_scenes import random_scene
 from experiments.bench.collision import STATES, bench_collision
 from experiments.bench.networks import bench_networks
+from experiments.bench.scanning import bench_scan
 from experiments.bench.stages import bench_growth, bench_stages
 from experiments.bench.throughput import bench_throughput
 from experiments.bench.timing import Figure, calibration, single, spread, timed
@@ -183,4 +184,5 @@ BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
     "throughput": lambda problems, states: bench_throughput(problems),
     "growth": lambda problems, states: bench_growth(_tuning_problems(1)[0]),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
+    "scan": lambda problems, states: bench_scan(),
 }
