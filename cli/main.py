@@ -11,6 +11,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_torch
 
 COMMANDS = {
     "plan": "plan one problem and print a short report",
+    "certify": "judge a path or trajectory, or every path of a run again",
     "reproduce": "run a suite of problems or tasks and write its rows and tables",
     "figure": "make a figure of the paper, with its numbers",
     "table": "render the tables of a results directory",

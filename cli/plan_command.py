@@ -10,7 +10,8 @@ from cli.motion_options import add_motion, motion_given, motion_problem, scanned
 from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
 from cli.planner_options import add_budget, budget
-from cli.robot_options import add_robot, robot_source
+from cli.problem_options import add_problem, problem_asked
+from cli.robot_options import robot_source
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
@@ -43,16 +44,13 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Problem, planner, budget, and where to show it."""
-    parser.add_argument("suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}")
-    parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
-    parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
+    add_problem(parser, "another robot for the problem of --problem-file, or for --start and --goal")
     parser.add_argument(
         "--task-file",
         type=Path,
         metavar="T.json",
         help="a task of several phases instead, planned phase by phase",
     )
-    add_robot(parser, "another robot for the problem of --problem-file, or for --start and --goal")
     parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     add_model(parser)
     parser.add_argument(
@@ -145,14 +143,13 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or --start and --goal with "
             "--cloud or --scene: one of the four"
         )
-    robot = robot_source(args, args.problem_file)
-    if args.problem_file is not None:
-        return PlanningProblem.load(args.problem_file, robot=robot)
-    if robot:
+    if args.task_file is None:
+        return problem_asked(args)
+    if robot_source(args):
         raise InvalidInputError(
             "--robot and --urdf go with --problem-file or --start: other problems are for their own robot"
         )
-    return Task.load(args.task_file) if args.task_file else suite_named(args.suite).solvable(args.problem)
+    return Task.load(args.task_file)
 
 
 def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:

@@ -33,6 +33,9 @@ class FaultKind(StrEnum):
     LIMITS = "limits"
     MANIFOLD = "manifold"
     COLLISION = "collision"
+    VELOCITY = "velocity"
+    ACCELERATION = "acceleration"
+    CURRENT = "current"
 
 
 class Fault(NamedTuple):

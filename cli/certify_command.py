@@ -1,0 +1,182 @@
+"""`cvqmpt certify`: judge a path or trajectory of anyone's, or every path of a run again."""
+
+import argparse
+import json
+import math
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cli.options import positive
+from cli.problem_options import add_problem, problem_asked
+from cvqmpt_lab.certificate import TOLERANCE, FaultKind
+from cvqmpt_lab.dry_run import DryRun, dry_run
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.exact_checker import ROUNDING
+from cvqmpt_lab.trajectory.reading import read_motion
+
+EXAMPLES = (
+    "cvqmpt certify path.csv place-task --problem 7",
+    "cvqmpt certify path.json --problem-file mine.json --json",
+    'cvqmpt certify motion.json place-task --problem 7 --current "0.1 -0.7 0 -2.3 0 1.6 0.8"',
+    "cvqmpt certify runs/place-task",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to judge, and against which problem."""
+    parser.add_argument(
+        "path",
+        type=Path,
+        metavar="PATH.csv|PATH.json|DIR",
+        help="states, or a trajectory with times, which is dry-run too; or the directory of a run",
+    )
+    add_problem(parser)
+    parser.add_argument(
+        "--current",
+        metavar="Q",
+        help="where the arm stands now, numbers in quotes [rad]: the motion begins there",
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=positive,
+        default=0.01,
+        metavar="RAD",
+        help="how far from there it may begin (0.01)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one json object instead of the report")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Judge and print; exit code 1 when anything is refused."""
+    if args.path.is_dir():
+        if args.suite or args.problem_file or args.current:
+            raise InvalidInputError("the rows of a run name their problems; give the directory alone")
+        return _certify_run(args.path, args.json)
+    motion = read_motion(args.path)
+    problem = problem_asked(args)
+    if not isinstance(problem, PlanningProblem):
+        raise InvalidInputError(
+            f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
+        )
+    found = dry_run(problem, motion, _current(args.current), args.tolerance)
+    print(
+        json.dumps(_data(found), indent=1, allow_nan=False)
+        if args.json
+        else "\n".join(_report(found, problem))
+    )
+    return 0 if found.certificate.valid else 1
+
+
+def _current(text: str | None) -> np.ndarray | None:
+    if text is None:
+        return None
+    try:
+        return np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError as error:
+        raise InvalidInputError(
+            f"--current {text!r}: write numbers in quotes, separated by spaces"
+        ) from error
+
+
+def _where(found: DryRun, at: float) -> str:
+    """A place for people: state, and time or distance along."""
+    if found.times is not None:
+        return f"at {np.interp(at, np.arange(len(found.times)), found.times):.4f} s"
+    states, k = found.states[: int(at) + 2], int(at)
+    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
+    return f"at state {at:.4g}, {along:.4f} rad along" if math.isfinite(along) else f"at state {at:.4g}"
+
+
+def _report(found: DryRun, problem: PlanningProblem) -> list[str]:
+    """The lines a person reads."""
+    certificate = found.certificate
+    what = "path" if found.times is None else f"trajectory of {found.times[-1]:.3f} s"
+    states = "x".join(map(str, np.shape(found.states)))
+    lines = [
+        f"certified   {'yes' if certificate.valid else 'NO'}: {what}, {states} states, problem {problem.name}"
+    ]
+    for fault in certificate.faults:
+        lines.append(
+            f"fault       {fault.text}" + ("" if fault.at is None else f", {_where(found, fault.at)}")
+        )
+    if certificate.states_checked == 0:
+        return lines
+    lines.append(
+        f"constraint  at most {certificate.max_violation_rad:.2g} rad, {certificate.max_violation_m:.2g} m outside; "
+        f"{TOLERANCE:g} is allowed"
+    )
+    lines.append(f"clearance   {1e3 * certificate.min_clearance_m:.2f} mm, the smallest found")
+    return [*lines, f"resolution  {_resolution(found, problem)}"]
+
+
+def _resolution(found: DryRun, problem: PlanningProblem) -> str:
+    """How finely the motion is known to be free, and what limits that."""
+    certificate = found.certificate
+    looks = f"{certificate.states_checked} looks"
+    curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
+    if certificate.unproven_at is None:
+        collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
+        return (
+            f"no gaps: every state{' before that collision' if collides else ''} is proven, by {looks}{curve}"
+        )
+    k = min(int(certificate.unproven_at), len(found.states) - 2)
+    share = certificate.unproven_at - k
+    q = found.states[k] + share * (found.states[k + 1] - found.states[k])
+    gap = problem.collision_checker().clearance(q)
+    pair = problem.collision_checker(max(gap, 0.0) + 10.0 * ROUNDING).colliding_pair(q)
+    return (
+        f"{certificate.unproven_rad:.1g} rad, by {looks}{curve}: {_where(found, certificate.unproven_at)} "
+        f"{pair} are {1e3 * gap:.4f} mm apart"
+    )
+
+
+def _data(found: DryRun) -> dict[str, Any]:
+    """The same for programs; undefined numbers are null."""
+    certificate = found.certificate
+    numbers = {
+        name: value if value is not None and math.isfinite(value) else None
+        for name, value in vars(certificate).items()
+        if name != "faults"
+    }
+    faults = [
+        {
+            "kind": str(fault.kind),
+            "text": fault.text,
+            "state": fault.at,
+            "time_s": None
+            if found.times is None or fault.at is None
+            else float(np.interp(fault.at, np.arange(len(found.times)), found.times)),
+        }
+        for fault in certificate.faults
+    ]
+    return {"valid": certificate.valid, "faults": faults, "apart_m": found.apart, **numbers}
+
+
+def _certify_run(directory: Path, as_json: bool) -> int:
+    from experiments.recertify import recertify
+
+    counts: Counter[str] = Counter()
+    troubles = []
+    for verdict in recertify(directory):
+        counts[
+            "certified" if verdict.certificate is not None and verdict.certificate.valid else "refused"
+        ] += 1
+        if verdict.trouble:
+            key = verdict.row.key
+            troubles.append(f"{key.problem} {key.planner} seed {key.seed}: {verdict.trouble}")
+            print(troubles[-1], file=sys.stderr)
+    summary = {"paths": counts.total(), "certified": counts["certified"], "refused": counts["refused"]}
+    if as_json:
+        print(json.dumps({**summary, "troubles": troubles}, indent=1))
+    else:
+        print(
+            ", ".join(f"{count} {what}" for what, count in summary.items())
+            + f", {len(troubles)} unlike their rows"
+        )
+    return 1 if troubles else 0

@@ -1,0 +1,158 @@
+"""What a controller would do with a motion: limits, start, and the certificate of the curve itself.
+
+Between its points a trajectory is cubic, through positions and velocities, as a robot's controller makes it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cvqmpt_lab.certificate import Certificate, Fault, FaultKind, certify
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planning.result import JointPath
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.scene.exact_shapes import reach_with
+from cvqmpt_lab.trajectory.reading import Motion
+from cvqmpt_lab.trajectory.trajectory import Trajectory
+
+FLAT = 1e-6
+"""[rad or m] that a joint's cubic may leave the straight pieces it is certified by."""
+OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
+"""Share by which limits may be passed: a motion that `time_path` timed to its limits bends up to 4 % harder in cubic
+pieces, which know only its positions and velocities, than the accelerations that it states."""
+MOST_PIECES = 500_000
+
+
+@dataclass(frozen=True, eq=False)
+class DryRun:
+    """What was found."""
+
+    certificate: Certificate
+    """With the faults of the dry run; places are numbers of `states`."""
+    states: np.ndarray
+    """(m, n) [rad or m] that were certified: of a trajectory, straight pieces within FLAT of it."""
+    times: np.ndarray | None = None
+    """(m,) of the states [s], or None for a path."""
+    apart: float = 0.0
+    """How far the motion may be from the straight pieces at any point of the robot [m]."""
+
+
+def dry_run(
+    problem: PlanningProblem,
+    motion: Motion,
+    current: np.ndarray | None = None,
+    tolerance: float = 0.01,
+    clearance: bool = True,
+) -> DryRun:
+    """Judge a path or trajectory before it is sent to an arm that stands at current (n,).
+
+    Raises
+    ------
+    InvalidInputError
+        When the motion is of other joints, or has times but no velocities or times that do not increase.
+    """
+    motion = motion.of_joints(problem.robot.joint_names)
+    states, times, faults, apart = motion.positions, None, [], 0.0
+    usable = states.ndim == 2 and states.shape[1] == problem.robot.dof and np.isfinite(states).all()
+    if motion.times is not None and usable:
+        trajectory = _trajectory(motion, problem.robot.joint_names)
+        times = _moments(trajectory)
+        states = trajectory.at(times).positions
+        faults = _limit_faults(trajectory, motion, problem.robot.joint_limits, times)
+        apart = 2.0 * reach_with(problem.robot, problem.attachments) * problem.robot.dof * FLAT
+    if current is not None and usable:
+        faults += _start_fault(problem, states[0], current, tolerance)
+    checker = problem.collision_checker(apart)
+    certificate = certify(problem, JointPath(states), checker, clearance)
+    return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states, times, apart)
+
+
+def _trajectory(motion: Motion, names: tuple[str, ...]) -> Trajectory:
+    assert motion.times is not None
+    if motion.velocities is None:
+        raise InvalidInputError(
+            "a trajectory needs velocities at its times; leave the times out to judge the path"
+        )
+    for what, values in (("time", motion.times), ("velocity", motion.velocities)):
+        if not np.isfinite(values).all():
+            raise InvalidInputError(f"a {what} is not finite")
+    if len(motion.times) < 2 or motion.times[0] < 0.0 or not (np.diff(motion.times) > 0.0).all():
+        raise InvalidInputError("times must begin at 0 or later and increase, at two points or more")
+    zeros = np.zeros_like(motion.velocities)
+    return Trajectory(names, motion.times - motion.times[0], motion.positions, motion.velocities, zeros)
+
+
+def _moments(trajectory: Trajectory) -> np.ndarray:
+    """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration of each piece."""
+    begins, ends = _accelerations(trajectory)
+    most = np.maximum(np.abs(begins), np.abs(ends)).max(axis=1)
+    spans = np.diff(trajectory.times)
+    pieces = np.maximum(np.ceil(spans * np.sqrt(most / (8.0 * FLAT))), 1.0)
+    if not pieces.sum() <= MOST_PIECES:
+        worst = int(pieces.argmax())
+        raise InvalidInputError(
+            f"from point {worst} on a joint accelerates by {most[worst]:.3g} rad/s^2: too much to follow; "
+            f"are times in seconds and angles in radians?"
+        )
+    cuts = [
+        t + span * np.arange(count) / count
+        for t, span, count in zip(trajectory.times, spans, pieces.astype(int), strict=False)
+    ]
+    return np.concatenate([*cuts, trajectory.times[-1:]])
+
+
+def _accelerations(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """At the begin and the end of every cubic piece, (k, n) each [rad/s^2]."""
+    h = np.diff(trajectory.times)[:, None]
+    mean = np.diff(trajectory.positions, axis=0) / h
+    v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]
+    return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * mean) / h
+
+
+def _limit_faults(
+    trajectory: Trajectory, motion: Motion, limits: JointLimits, times: np.ndarray
+) -> list[Fault]:
+    """Joints that are too fast, or speed up too hard: at points, and where velocity turns between them."""
+    begins, ends = _accelerations(trajectory)
+    spans = np.diff(trajectory.times)[:, None]
+    change = ends - begins
+    turn = np.clip(np.divide(-begins, change, out=np.zeros_like(begins), where=change != 0.0), 0.0, 1.0)
+    between = trajectory.velocities[:-1] + spans * turn * (begins + 0.5 * turn * change)
+    turning = trajectory.times[:-1, None] + spans * turn
+    points = np.broadcast_to(trajectory.times[:, None], trajectory.positions.shape)
+    velocities = np.concatenate([trajectory.velocities, between]), np.concatenate([points, turning])
+    accelerations = np.concatenate([begins, ends]), np.concatenate([points[:-1], points[1:]])
+    if motion.accelerations is not None:
+        stated = np.concatenate([accelerations[0], motion.accelerations])
+        accelerations = stated, np.concatenate([accelerations[1], points])
+    faults = []
+    for kind, unit, limit, (values, moments) in (
+        (FaultKind.VELOCITY, "rad/s", limits.velocity, velocities),
+        (FaultKind.ACCELERATION, "rad/s^2", limits.acceleration, accelerations),
+    ):
+        share = np.nan_to_num(np.abs(values) / limit, nan=np.inf)
+        k, joint = np.unravel_index(int(share.argmax()), share.shape)
+        if share[k, joint] > 1.0 + OVERSHOOT[kind]:
+            name, reached = limits.joint_names[joint], abs(values[k, joint])
+            text = f"{name} reaches {reached:.4g} {unit}, its {kind} limit is {limit[joint]:.4g}"
+            faults.append(
+                Fault(kind, text, float(np.interp(moments[k, joint], times, np.arange(len(times)))))
+            )
+    return faults
+
+
+def _start_fault(
+    problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float
+) -> list[Fault]:
+    if current.shape != first.shape or not np.isfinite(current).all():
+        raise InvalidInputError(
+            f"current configuration of {len(current)} values: give {len(first)} finite numbers, one each for "
+            f"{', '.join(problem.robot.joint_names)}"
+        )
+    off = np.abs(first - current)
+    if off.max() <= tolerance:
+        return []
+    name = problem.robot.joint_names[int(off.argmax())]
+    text = f"{name} stands {off.max():.4g} from where the motion begins, tolerance {tolerance:g}"
+    return [Fault(FaultKind.CURRENT, text, 0.0)]

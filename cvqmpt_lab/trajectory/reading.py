@@ -1,0 +1,159 @@
+"""Paths and trajectories from files, ours or others': csv, json, and ROS's `JointTrajectory` as json.
+
+A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a trajectory, whose
+columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``. A json file holds a list of
+states, an object with ``joint_names`` and ``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or the message.
+"""
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.files import json_object, read_text
+from cvqmpt_lab.trajectory.export import KINDS
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a file says of a motion; numbers may be nan or infinite."""
+
+    joint_names: tuple[str, ...] | None
+    """n names, or None where the file has none."""
+    positions: np.ndarray
+    """(m, n) [rad or m]."""
+    times: np.ndarray | None = None
+    """(m,) [s], or None for a path."""
+    velocities: np.ndarray | None = None
+    """(m, n) [rad/s or m/s], with times."""
+    accelerations: np.ndarray | None = None
+    """(m, n) [rad/s^2 or m/s^2], where stated."""
+
+    def of_joints(self, names: tuple[str, ...]) -> "Motion":
+        """With joints in the order of names; InvalidInputError when they are others."""
+        if self.joint_names is None or self.joint_names == names:
+            return self
+        if sorted(self.joint_names) != sorted(names):
+            raise InvalidInputError(
+                f"the file moves joints {', '.join(map(shown, self.joint_names))}; the robot has {', '.join(names)}"
+            )
+        order = [self.joint_names.index(name) for name in names]
+        kinds = (self.positions, self.velocities, self.accelerations)
+        positions, *rest = (kind if kind is None else kind[:, order] for kind in kinds)
+        assert positions is not None
+        return Motion(names, positions, self.times, *rest)
+
+
+def read_motion(path: Path) -> Motion:
+    """Read a .csv or .json file; InvalidInputError names the file and what in it is not understood."""
+    readers = {".csv": _from_csv, ".json": _from_json}
+    ending = path.suffix.lower()
+    if ending not in readers:
+        raise UnknownChoiceError(f"file type of {path}:", ending, readers)
+    text = read_text(path, "motion")
+    try:
+        motion = readers[ending](text)
+    except (
+        InvalidInputError,
+        TypeError,
+        ValueError,
+        KeyError,
+        AttributeError,
+        OverflowError,
+        csv.Error,
+    ) as error:
+        why = error if isinstance(error, InvalidInputError) else shown(str(error))
+        raise InvalidInputError(f"motion {path} is not understood: {why}") from error
+    for kind in (motion.positions, motion.velocities, motion.accelerations):
+        if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
+            raise InvalidInputError(
+                f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states"
+            )
+    if motion.joint_names is not None and motion.positions.shape[1] != len(motion.joint_names):
+        raise InvalidInputError(
+            f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} values a state"
+        )
+    return motion
+
+
+def _from_csv(text: str) -> Motion:
+    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    if not rows:
+        raise InvalidInputError("it is empty")
+    header = None if _is_number(rows[0][0]) else tuple(name.strip() for name in rows[0])
+    lines = rows if header is None else rows[1:]
+    table = np.array([[float(x) for x in row] for row in lines]).reshape(len(lines), -1)
+    if header is not None and lines and table.shape[1] != len(header):
+        raise InvalidInputError(f"{len(header)} names in its header, {table.shape[1]} values a row")
+    if header is None or "time" not in header:
+        return Motion(header, table)
+    names = tuple(name.removesuffix("_position") for name in header if name.endswith("_position"))
+    columns = dict(zip(header, table.T, strict=False))
+    expected = ["time", *(f"{name}_{kind}" for kind in KINDS for name in names)]
+    if not names or len(columns) != len(header) or not set(header) <= set(expected):
+        odd = next((name for name in header if name not in expected), header[0])
+        raise InvalidInputError(
+            f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
+        )
+    kinds = [
+        np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
+        if any(column.endswith(f"_{kind}") for column in header)
+        else None
+        for kind in KINDS
+    ]
+    assert kinds[0] is not None
+    return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _from_json(text: str) -> Motion:
+    try:
+        data = json.loads(text) if text.lstrip().startswith("[") else json_object(text, "it")
+    except RecursionError as error:
+        raise InvalidInputError("it is nested too deeply") from error
+    if isinstance(data, list):
+        return Motion(None, _table(data))
+    names = data.get("joint_names", data.get("joints"))
+    if names is not None:
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
+        names = tuple(names)
+    if "points" in data:
+        return _from_points(names, data["points"])
+    key = next((key for key in ("states", "path") if data.get(key) is not None), None)
+    if key is None:
+        raise InvalidInputError("it has no 'states', 'path' or 'points'")
+    return Motion(names, _table(data[key]))
+
+
+def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
+    """The points of a `JointTrajectory`."""
+    times = [point["time_from_start"] for point in points]
+    kinds = [
+        _table([point[key] for point in points]) if all(point.get(key) for point in points) else None
+        for key in ("positions", "velocities", "accelerations")
+    ]
+    if kinds[0] is None:
+        raise InvalidInputError("a point has no 'positions'")
+    seconds = np.array([time["sec"] + 1e-9 * time.get("nanosec", 0) for time in times], dtype=float)
+    return Motion(names, kinds[0], seconds, kinds[1], kinds[2])
+
+
+def _table(rows: list[list[float]]) -> np.ndarray:
+    """States (m, n); ValueError unless all are numbers, as many in each."""
+    table = np.array(rows, dtype=float)
+    if table.ndim != 2:
+        raise ValueError(f"states of shape {table.shape}, give a list of lists of numbers")
+    return table

@@ -1,0 +1,282 @@
+"""`cvqmpt certify`: what is whole passes, what was tampered with is refused where it was tampered with."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import refused
+
+from cli.main import main
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.planning.result import Budget, JointPath
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.results.paths import PATHS_FILE, KeptPaths, states_hash
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Cylinder
+from cvqmpt_lab.tasks.goals import phase_problems
+from cvqmpt_lab.trajectory.export import as_csv, as_ros_json
+from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from experiments.run import Experiment, run_experiment
+from experiments.suites.place_task import DOOR
+
+MIDDLE = 40
+
+
+@pytest.fixture(scope="module")
+def states(solution):
+    return solution.simplified.path.states
+
+
+@pytest.fixture(scope="module")
+def trajectory(problem, states):
+    return time_path(states, problem.robot.joint_limits, TimingSettings(speed=1.0))
+
+
+@pytest.fixture(scope="module")
+def region_problem(problem):
+    """The problem with its goal region alone."""
+    return replace(problem, goals=np.empty((0, 7)))
+
+
+@pytest.fixture
+def judged(tmp_path, region_problem, capsys):
+    """Certifies states or a text against a problem; gives the exit code and the printed json."""
+
+    def judge(what, problem=None, name="motion.csv", options=()):
+        if not isinstance(what, str):
+            what = "\n".join(",".join(repr(float(x)) for x in q) for q in what)
+        (tmp_path / name).write_text(what)
+        (problem or region_problem).save(tmp_path / "problem.json")
+        files = [str(tmp_path / name), "--problem-file", str(tmp_path / "problem.json")]
+        code = main(["certify", *files, "--json", *options])
+        return code, json.loads(capsys.readouterr().out)
+
+    return judge
+
+
+def test_paths_in_every_form_are_certified(judged, states, region_problem):
+    names = list(region_problem.robot.joint_names)
+    header = ",".join(names) + "\n"
+    rows = [q.tolist() for q in states]
+    backwards = {"joint_names": names[::-1], "states": [q[::-1] for q in rows]}
+    forms = {
+        "a.csv": header + "\n".join(",".join(map(repr, q)) for q in rows),
+        "b.json": json.dumps(rows),
+        "c.json": json.dumps({"joint_names": names, "states": rows}),
+        "d.json": json.dumps({"path": rows}),
+        "e.json": json.dumps(backwards),
+    }
+    for name, text in forms.items():
+        code, found = judged(text, name=name)
+        assert code == 0 and found["valid"] and found["faults"] == [] and found["unproven_rad"] == 0.0
+    assert found["min_clearance_m"] > 0.0 and found["states_checked"] > 10
+
+
+def until(state, direction, reached):
+    """The state moved by up to 0.6 rad along a direction, as far as it takes until `reached(q)`."""
+    low, high = 0.0, 0.6
+    assert reached(state + high * direction) and not reached(state)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if reached(state + middle * direction) else (middle, high)
+    return state + high * direction
+
+
+def tilted(problem, states):
+    """The hand of one state tilts by 0.101 rad; its neighbours are as they were."""
+    region, bent = problem.constraint[0], states.copy()
+    tilt = lambda q: np.abs(displacements(problem.robot, region, q[None])[0, region.bounded_rows]).max()  # noqa: E731
+    bent[MIDDLE] = until(states[MIDDLE], np.eye(7)[6], lambda q: tilt(q) >= 0.101)
+    assert tilt(bent[MIDDLE]) == pytest.approx(0.101, abs=1e-6)
+    return bent
+
+
+def inside_by_1_mm(problem, states):
+    """One state leans to the side until it is 1 mm inside something."""
+    checker, moved = problem.collision_checker(), states.copy()
+    q = next(k for k in range(20, len(states)) if checker.clearance(states[k] + 0.6 * np.eye(7)[0]) < -1e-3)
+    moved[q] = until(states[q], np.eye(7)[0], lambda q: checker.clearance(q) <= -1e-3)
+    return moved
+
+
+def changed(states, index, by):
+    tampered = states.copy()
+    tampered[index] = tampered[index] + by
+    return tampered
+
+
+def beyond_limit(problem, states):
+    tampered = states.copy()
+    tampered[MIDDLE, 6] = problem.robot.upper[6] + 1e-3
+    return tampered
+
+
+TAMPERED = {
+    "a tilt of 0.101 rad": (tilted, "manifold", MIDDLE),
+    "a state 1 mm inside a shelf": (inside_by_1_mm, "collision", None),
+    "a limit passed by 1e-3": (beyond_limit, "limits", MIDDLE),
+    "a jump": (lambda p, s: np.delete(s, range(MIDDLE, MIDDLE + 12), axis=0), "step", MIDDLE - 1),
+    "nan": (lambda p, s: changed(s, MIDDLE, np.nan), "shape", MIDDLE),
+    "infinity": (lambda p, s: changed(s, MIDDLE, np.inf), "shape", MIDDLE),
+    "a start moved by 1e-5": (lambda p, s: changed(s, 0, 1e-5), "start", 0),
+    "reversed": (lambda p, s: s[::-1], "start", 0),
+    "cut short": (lambda p, s: s[:-5], "goal", -1),
+    "of another robot": (lambda p, s: s[:, :6], "shape", None),
+}
+
+
+@pytest.mark.parametrize("how", TAMPERED)
+def test_what_was_tampered_with_is_refused_and_found(judged, problem, states, how):
+    tamper, kind, place = TAMPERED[how]
+    tampered = tamper(problem, states)
+    code, found = judged(tampered)
+    (fault,) = [fault for fault in found["faults"] if fault["kind"] == kind]
+    assert code == 1 and not found["valid"]
+    if place is not None:
+        assert abs(fault["state"] - (place if place >= 0 else len(tampered) - 1)) <= 1.0
+
+
+def test_a_swapped_goal_is_refused(judged, problem, states):
+    others = problem.goals[np.abs(problem.goals - states[-1]).max(axis=1) > 0.0][:1]
+    code, found = judged(states, replace(problem, goals=others, goal_region=None))
+    assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["goal"]
+
+
+def test_a_repeated_state_changes_nothing(judged, states):
+    assert judged(np.insert(states, MIDDLE, states[MIDDLE], axis=0))[0] == 0
+
+
+def test_a_wrong_scene_is_run_into(judged, region_problem, states):
+    code, found = judged(states, replace(region_problem, scene=random_scene(1)))
+    assert code == 1 and "collision" in [fault["kind"] for fault in found["faults"]]
+
+
+def test_a_door_at_another_angle_is_run_into(judged, region_problem, states):
+    code, found = judged(states, replace(region_problem, scene=region_problem.scene.with_joint(DOOR, 0.0)))
+    assert code == 1 and any("door_left" in fault["text"] for fault in found["faults"])
+
+
+def test_a_grasp_2_mm_from_where_the_goal_is_now_is_refused(judged, region_problem, states):
+    region = region_problem.goal_region
+    moved = replace(region, T0_w=region.T0_w @ pose((0.0, 0.0, 2e-3)))
+    code, found = judged(states, replace(region_problem, goal_region=moved))
+    assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["goal"]
+
+
+def test_a_graze_of_a_thin_wire_names_both(judged, region_problem, states):
+    T = region_problem.robot.pose(states[MIDDLE]) @ pose((0.0, 0.0, 0.05))
+    wired = region_problem.scene.with_objects(SceneObject("wire", Cylinder(1e-4, 0.2), T))
+    code, found = judged(states, replace(region_problem, scene=wired))
+    (fault,) = found["faults"]
+    assert code == 1 and "wire" in fault["text"] and abs(fault["state"] - MIDDLE) < 12
+
+
+@pytest.mark.parametrize(("form", "name"), [(as_csv, "motion.csv"), (as_ros_json, "motion.json")])
+def test_a_trajectory_is_dry_run(judged, trajectory, states, form, name):
+    here = " ".join(map(repr, (states[0] + 0.009).tolist()))
+    code, found = judged(form(trajectory), name=name, options=["--current", here])
+    assert code == 0 and found["valid"] and 0.0 < found["apart_m"] < 1e-4
+    away = " ".join(map(repr, (states[0] + 0.011 * np.eye(7)[2]).tolist()))
+    code, found = judged(form(trajectory), name=name, options=["--current", away])
+    assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["current"]
+    assert "panda_joint3 stands 0.011" in found["faults"][0]["text"]
+    assert judged(form(trajectory), name=name, options=["--current", away, "--tolerance", "0.02"])[0] == 0
+
+
+def test_a_trajectory_that_is_sent_too_fast_is_refused(judged, trajectory):
+    faster = replace(trajectory, times=trajectory.times / 1.5, velocities=trajectory.velocities * 1.5)
+    code, found = judged(as_csv(faster))
+    assert code == 1 and {"velocity", "acceleration"} & {fault["kind"] for fault in found["faults"]}
+    assert all(0.0 <= fault["time_s"] <= faster.duration for fault in found["faults"])
+
+
+def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, trajectory):
+    """Positions are whole; the velocity of one point makes the cubic leave them."""
+    velocities = trajectory.velocities.copy()
+    middle = len(velocities) // 2
+    velocities[middle] += 1.5 * np.eye(7)[0]
+    code, found = judged(as_csv(replace(trajectory, velocities=velocities)))
+    (fault,) = [fault for fault in found["faults"] if fault["kind"] == "acceleration"]
+    assert code == 1 and abs(fault["time_s"] - trajectory.times[middle]) < 0.1
+
+
+def test_the_report_says_what_and_where(tmp_path, problem, states, capsys):
+    file = tmp_path / "path.csv"
+    np.savetxt(file, changed(states, MIDDLE, 0.5 * np.eye(7)[5]), delimiter=",", fmt="%.17g")
+    assert main(["certify", str(file), "place-task"]) == 1
+    out = capsys.readouterr().out
+    assert out.startswith("certified   NO: path") and "off the manifold by" in out and "at state 40" in out
+    np.savetxt(file, states, delimiter=",", fmt="%.17g")
+    assert main(["certify", str(file), "place-task"]) == 0
+    out = capsys.readouterr().out
+    assert "resolution  no gaps: every state is proven" in out and "clearance" in out
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.csv", "", "empty"),
+        ("a.csv", "1,2\n3\n", "not understood"),
+        ("a.csv", "q1,q2\n1,2\n3,4\n", "the file moves joints 'q1', 'q2'; the robot has panda_joint1"),
+        ("a.csv", "time,q1_position,force\n1,2,3\n", "column 'force'"),
+        ("a.json", "{", "not json"),
+        ("a.json", "{}", "no 'states', 'path' or 'points'"),
+        ("a.json", '[["x"]]', "not understood"),
+        ("a.json", "[[1, 2], [3]]", "not understood"),
+        ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
+        ("a.json", '{"points": [{"time_from_start": 3}]}', "a point has no 'positions'"),
+        ("a.json", '{"points": 7}', "not understood"),
+        ("a.json", "[" * 100_000, "not understood"),
+        ("a.txt", "", "'.txt'"),
+    ],
+)
+def test_what_is_no_motion_is_one_line(tmp_path, capsys, name, text, words):
+    (tmp_path / name).write_text(text)
+    assert words in refused(capsys, "certify", tmp_path / name, "place-task")
+
+
+def test_a_trajectory_without_velocities_or_with_times_that_go_back_is_one_line(tmp_path, capsys, trajectory):
+    lines = as_csv(trajectory).splitlines()
+    (tmp_path / "back.csv").write_text("\n".join([lines[0], lines[2], lines[1]]))
+    assert "increase" in refused(capsys, "certify", tmp_path / "back.csv", "place-task")
+    (tmp_path / "bare.csv").write_text("\n".join(",".join(line.split(",")[:8]) for line in lines))
+    assert "needs velocities" in refused(capsys, "certify", tmp_path / "bare.csv", "place-task")
+    assert "write numbers in quotes" in refused(
+        capsys, "certify", tmp_path / "bare.csv", "place-task", "--current", "a b"
+    )
+
+
+def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):
+    experiment = Experiment("place-task", (2, 10), ("birrt",), (0,), Budget(iterations=20_000))
+    run_experiment(experiment, tmp_path, 1, ["test"], lambda *_: None)
+    assert main(["certify", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
+
+    rows = read_rows(tmp_path / RUNS_FILE)
+    kept = dict(KeptPaths(tmp_path))
+    bent = kept[rows[0].path_sha256].copy()
+    bent[10] += 0.05
+    forged = replace(rows[0], path_sha256=states_hash(bent), path_length_rad=JointPath(bent).length)
+    write_rows(tmp_path / RUNS_FILE, [forged, rows[1]])
+    np.savez_compressed(tmp_path / PATHS_FILE, **kept, **{states_hash(bent): bent})
+    assert main(["certify", str(tmp_path)]) == 1
+    assert "2 birrt seed 0: certified in the row, refused now: " in capsys.readouterr().err
+
+    write_rows(tmp_path / RUNS_FILE, [replace(rows[0], path_sha256="0" * 64), rows[1]])
+    assert main(["certify", str(tmp_path)]) == 1
+    assert "2 birrt seed 0: its path is not kept" in capsys.readouterr().err
+    (tmp_path / PATHS_FILE).write_bytes(b"PK" + 50 * b"x")
+    assert "paths.npz is damaged" in refused(capsys, "certify", tmp_path)
+
+
+def test_the_phases_of_a_task_are_judged_in_the_worlds_that_they_met(task, task_solution):
+    paths = [outcome.solution.simplified.path.states for outcome in task_solution.outcomes]
+    problems = list(phase_problems(task, paths))
+    assert len(problems) == len(paths) > 3
+    for problem, states in zip(problems, paths, strict=True):
+        assert certify(problem, JointPath(states), clearance=False).valid
+    assert not certify(problems[0], JointPath(paths[1]), clearance=False).valid
