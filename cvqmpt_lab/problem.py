@@ -8,7 +8,7 @@ manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-pro
      "robot": {"name": "panda", "finger_opening": 0.04}
            or {"urdf": "arm.urdf", "end_effector": "tool", "srdf": null, "locked": {"joint": 0.0}},
               either with "articulated": {...}  (see `ArticulatedObject`),
-     "scene": {"name", "objects": [{"name", "shape", "T_world_object"}, ...]},
+     "scene": {"name", "objects": [{"name", "shape", "T_world_object"}, ...]}  or  "scene.json",
      "attachments": [{"name", "shape", "T_hand_object"}],
      "constraint": {"upright": 0.1}, or a list of such and of full regions
                    {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free},
@@ -43,7 +43,7 @@ from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.files.by_path import with_files_read
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import NamedScene, Scene
 
 CONTRADICTION = 1e-3  # [m, rad] that a given goal may lie outside the goal region
 
@@ -84,7 +84,7 @@ class PlanningProblem(Document):
     """What it is called in results."""
     robot: Annotated[Robot, RobotForm()]
     """What moves; n is the number of its joints."""
-    scene: Scene
+    scene: NamedScene
     """What it must not touch."""
     start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty(0)

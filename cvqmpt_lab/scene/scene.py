@@ -8,13 +8,13 @@ base link frame. Lengths in [m], angles in [rad].
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, Name
-from cvqmpt_lab.codec.plain import Checked, unique
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.codec.forms import FloatArray, Name, Schema
+from cvqmpt_lab.codec.plain import Checked, from_plain, to_plain, unique
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import Shape
 
@@ -190,3 +190,24 @@ class Scene(Checked):
     @cached_property
     def _hash(self) -> int:
         return super().__hash__()  # 6 ms for the kitchen, asked for with every problem
+
+
+class SceneForm:
+    """A scene; in the file of a problem or task also the path of one that holds it (see `files.by_path`)."""
+
+    def read(self, value: Any, where: str) -> Scene:
+        """Make the scene."""
+        if isinstance(value, str):
+            raise InvalidInputError(f"{where} is {shown(value)}, a file: load what names it from a file too")
+        return from_plain(Scene, value, where)
+
+    def write(self, value: Scene) -> Any:
+        """In full."""
+        return to_plain(value)
+
+    def schema(self, of: Schema) -> dict[str, Any]:
+        """Either."""
+        return {"anyOf": [of(Scene), {"type": "string", "description": "json file that holds a scene"}]}
+
+
+NamedScene = Annotated[Scene, SceneForm()]

@@ -23,7 +23,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.files.by_path import with_files_read
-from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
+from cvqmpt_lab.scene.scene import Articulation, NamedScene, Scene, SceneObject
 from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Turn
 
 
@@ -42,7 +42,7 @@ class Task(Document):
     """What it is called in results."""
     robot: Mapping[str, Any]
     """What a problem file says of it."""
-    scene: Scene
+    scene: NamedScene
     """At the beginning."""
     start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
     """(n,) [rad or m]."""

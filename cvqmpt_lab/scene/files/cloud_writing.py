@@ -11,11 +11,6 @@ from cvqmpt_lab.files import write_bytes
 from cvqmpt_lab.scene.files.reading import kind_of
 
 
-def check_cloud_file(path: Path) -> None:
-    """Refuse a suffix that no writer has; UnknownChoiceError lists them."""
-    kind_of(path, WRITERS, "cloud")
-
-
 def write_cloud(path: Path | str, points: FloatArray) -> None:
     """Write points (m, 3) [m] in single precision, whole or not at all; the suffix says how (see `WRITERS`)."""
     path = Path(path)

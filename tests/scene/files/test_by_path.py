@@ -78,6 +78,21 @@ def test_the_hand_may_carry_a_mesh(data, tmp_path):
     np.testing.assert_allclose(np.ptp(load.shape.vertices, axis=0), 0.05)
 
 
+def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp_path):
+    whole = PlanningProblem.load(saved(data, tmp_path))
+    shapes = data["scene"]["objects"]
+    for item in shapes:
+        item["shape"]["path"] = item["shape"]["path"].removeprefix("parts/")
+    (tmp_path / "parts" / "scene.json").write_text(json.dumps(data["scene"]))
+    path = saved(data | {"scene": "parts/scene.json"}, tmp_path)
+    assert PlanningProblem.load(path).scene == whole.scene
+    with pytest.raises(InvalidInputError, match=r"scene is 'parts/scene.json', a file: load what names it"):
+        PlanningProblem.from_dict(data | {"scene": "parts/scene.json"})
+    (tmp_path / "parts" / "scene.json").write_text("{}")
+    with pytest.raises(InvalidInputError, match=r"parts/scene.json: name is missing"):
+        PlanningProblem.load(path)
+
+
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
