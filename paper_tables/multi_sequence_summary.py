@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
-from cvqmpt_lab.results.phase_name import split_problem
+from cvqmpt_lab.results.phase_name import PAPER_PHASES, split_problem
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
 from cvqmpt_lab.results.statistics import Interval, median_interval
 from paper_tables.comparison import Statistic, Value, censored, mean, network_time, share
@@ -15,8 +15,6 @@ from paper_tables.paper_numbers import PublishedValue, notes_on
 from paper_tables.statements import Statement, Verdict, judged
 from paper_tables.summary import Metric, PlannerSummary, Runs, by_planner, rows_of_one_suite, summarised
 
-PAPER_PHASES = ("reach-handle", "reach-can", "carry")
-"""The phases whose times the paper's add up to, as far as can be inferred."""
 SOLVED = attrgetter("solved")
 PARTS: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
 """Phases that a time sums over, by name; None: all."""

@@ -4,6 +4,9 @@ from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError
 
+PAPER_PHASES = ("reach-handle", "reach-can", "carry")
+"""The phases of the multi-sequence task whose times the paper's add up to, as far as can be inferred."""
+
 
 class PhaseName(NamedTuple):
     """A planned phase: its task, its number among the planned ones from 1, its name."""

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
@@ -53,6 +52,8 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES)
     with np.errstate(invalid="ignore"):
         units = np.rint(depth / scale)
     units[~(units < 2**16)] = 0.0
+    from PIL import Image  # here and below: plans without depth images need not pay for it
+
     stream = io.BytesIO()
     Image.fromarray(units.astype(np.uint16)).save(stream, format="PNG")
     write_bytes(Path(path), stream.getvalue())
@@ -66,6 +67,8 @@ def deprojected(depth: FloatArray, camera: Pinhole) -> FloatArray:
 
 
 def _read_png(data: bytes, camera: Pinhole) -> np.ndarray:
+    from PIL import Image
+
     with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         if image.mode not in SIXTEEN_BITS:
             raise InvalidInputError(

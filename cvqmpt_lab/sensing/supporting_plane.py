@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
@@ -134,6 +133,8 @@ def on_table(points: FloatArray, plane: SupportingPlane, gap: float = GAP) -> np
     cells = np.floor((across - across.min(axis=0)) / gap).astype(int)
     taken = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     taken[tuple(cells.T)] = True
+    from scipy import ndimage  # a tenth of a second to import, which plans without scans need not pay
+
     patch = ndimage.label(taken, np.ones((3, 3)))[0][tuple(cells.T)]
     held[held] = patch == np.bincount(patch).argmax()
     return held

@@ -16,6 +16,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.results.phase_name import PAPER_PHASES
 from cvqmpt_lab.robot.loading import FINGER_OPENING, robot_from_source
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -25,7 +26,6 @@ from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Release, Slide, Turn
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
 from experiments.suites.place_task import DOOR, SHELF_LINK, carried_can, grasp_region
-from paper_tables.multi_sequence_summary import PAPER_PHASES
 
 TASKS = range(10)
 FIRST_SEED = 100
