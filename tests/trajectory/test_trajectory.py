@@ -12,10 +12,6 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-import toppra
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
-from toppra.interpolator import AbstractGeometricPath
 
 from cli.main import main
 from cvqmpt_lab.certificate import certify
@@ -32,6 +28,7 @@ from cvqmpt_lab.trajectory.export import save_trajectory
 from cvqmpt_lab.trajectory.speed_profile import squared_speeds
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
+from experiments.trust.differential import toppra_duration
 
 FULL = TimingSettings(speed=1.0)
 TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))
@@ -65,38 +62,12 @@ def motion(paths, limits):
 # ---------------------------------------------------------------- as fast as can be
 
 
-class Curve(AbstractGeometricPath):
-    """One of our curves, for toppra."""
-
-    def __init__(self, curve):
-        self.curve = curve
-
-    def __call__(self, s, order=0):
-        return self.curve.spline(s, order)
-
-    dof = property(lambda self: self.curve.spline.c.shape[1])
-    path_interval = property(lambda self: np.array([0.0, self.curve.length]))
-    waypoints = None
-
-
-def toppra_duration(curve, limits, grid):
-    toppra.setup_logging("ERROR")
-    both = DiscretizationType.Interpolation
-    constraints = [
-        JointVelocityConstraint(np.stack([-limits.velocity, limits.velocity], axis=1)),
-        JointAccelerationConstraint(np.stack([-limits.acceleration, limits.acceleration], axis=1), both),
-    ]
-    instance = TOPPRA(constraints, Curve(curve), gridpoints=grid)
-    _, speed, _ = instance.compute_parameterization(0.0, 0.0)
-    return float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())
-
-
 @pytest.mark.parametrize("speed", [1.0, 0.1])
 def test_durations_are_those_of_toppra(paths, limits, speed):
     for path in paths:
         curve = smooth_curve(path, FULL.deviation)
-        fine = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
-        expected = toppra_duration(curve, limits.scaled(speed), fine)
+        scaled = limits.scaled(speed)
+        expected = toppra_duration(curve, scaled.velocity, scaled.acceleration)
         duration = time_path(path, limits, TimingSettings(speed=speed)).duration
         assert duration == pytest.approx(expected, rel=0.01)
 
