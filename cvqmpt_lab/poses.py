@@ -12,7 +12,7 @@ from cvqmpt_lab.codec.forms import Array, FloatArray, Schema
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 
-ORTHONORMAL = 1e-6  # how far the columns of a rotation matrix may be from orthonormal
+ORTHONORMAL = 1e-6 + 1e-5 * np.eye(3)  # how far R R^T of a rotation matrix may be from the identity
 MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
 
 
@@ -68,8 +68,9 @@ class PoseForm:
         rotation = T[:3, :3]
         if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
             fault = f"last row is {T[3].tolist()}, not 0 0 0 1"
-        elif np.abs(rotation).max() > 2.0 or not np.allclose(
-            rotation @ rotation.T, np.eye(3), atol=ORTHONORMAL
+        elif (
+            np.abs(rotation).max() > 2.0
+            or not (np.abs(rotation @ rotation.T - np.eye(3)) <= ORTHONORMAL).all()
         ):
             fault = "rotation part is not orthonormal"
         elif np.linalg.det(rotation) < 0.0:

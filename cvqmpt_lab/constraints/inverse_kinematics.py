@@ -4,7 +4,7 @@ Newton's method from random configurations serves any serial robot and needs no 
 the projection that the planners use.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ ATTEMPTS = 12  # random configurations Newton's method starts from, per pose
 NEAR = 0.3  # [rad] standard deviation of starts around a given configuration
 POSES = 25  # drawn at once
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
+ONE_POSE = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
 
 
 def solve_poses(
@@ -36,25 +37,30 @@ def solve_poses(
     within: regions kept at the same time; that of a held handle puts its door where the hand is.
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
     """
+    return _solved(robot, poses, first_guesses(robot, rng, len(poses), attempts, near), within)
+
+
+def _solved(
+    robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion]
+) -> list[np.ndarray]:
+    """The same from first guesses (k, attempts, n), which it overwrites."""
     regions = pose_regions(robot, within)
-    configurations = first_guesses(robot, rng, len(poses), attempts, near)
     reached = reach_poses(
         robot.kinematics,
         regions,
         np.ascontiguousarray(poses[:, :3, :3]),
         np.ascontiguousarray(poses[:, :3, 3]),
-        configurations,
+        guesses,
         TOLERANCE,
         MAX_ITERATIONS,
         projection_scratch(robot.dof, regions),
     )
-    return [rows[iterations >= 0] for rows, iterations in zip(configurations, reached, strict=True)]
+    return [rows[iterations >= 0] for rows, iterations in zip(guesses, reached, strict=True)]
 
 
 def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Regions:
     """A region that is one pose, to be written into its reference frame, and regions kept at the same time."""
-    there = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
-    return stack_regions(robot, (there, *within))
+    return stack_regions(robot, (ONE_POSE, *within))
 
 
 def first_guesses(
@@ -107,7 +113,8 @@ def sample_region(
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
         poses = region.sample_poses(rng, min(POSES, max_poses - tried))
-        for candidates in solve_poses(robot, poses, rng, within=within, near=near):
+        guesses = first_guesses(robot, rng, len(poses), ATTEMPTS, near)
+        for candidates in _few_at_a_time(robot, poses, guesses, within, count):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
             if free is not None:
@@ -119,3 +126,11 @@ def sample_region(
                 break
     configurations = np.array(found).reshape(-1, robot.dof)
     return GoalSample(configurations, tried, unreachable, colliding)
+
+
+def _few_at_a_time(
+    robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion], few: int
+) -> Iterator[np.ndarray]:
+    """What `_solved` gives, worked out only for as many poses as are asked for, and a few more."""
+    for first in range(0, len(poses), few):
+        yield from _solved(robot, poses[first : first + few], guesses[first : first + few], within)

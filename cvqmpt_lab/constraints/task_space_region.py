@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -118,6 +119,7 @@ class TaskSpaceRegion(Checked):
         return self.T0_w @ T_w_displaced @ self.Tw_e
 
 
+@lru_cache(maxsize=16)
 def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
     """An axis of the hand ("x", "-z", ...) points up within tilt [rad]; yaw about it and position are free.
 

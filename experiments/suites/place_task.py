@@ -14,11 +14,10 @@ import numpy as np
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Scene
@@ -52,12 +51,18 @@ def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
     return TaskSpaceRegion(pose(com), Tw_e, Bw)
 
 
+@lru_cache(maxsize=1)
+def _on_the_shelf() -> TaskSpaceRegion:
+    return grasp_region(np.add(SHELF_LINK, CAN.com))
+
+
 def can_com(environment: int) -> np.ndarray:
     """Centre of mass (3,) [m] of the can on the counter of an environment."""
     u1, u2 = np.random.RandomState(environment).uniform(size=2)
     return np.array([0.4 + 0.3 * u1, -0.6 + 1.0 * u2, 0.171]) + CAN.com
 
 
+@lru_cache(maxsize=1)
 def carried_can() -> Attachment:
     """The can in the hand, at the grasp of `grasp_region`, BOTTOM_GAP shorter below."""
     grasp = grasp_region(np.zeros(3))
@@ -80,7 +85,7 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
     name = str(environment)
     robot = robot_from_source({"name": "panda"})
     attachments = (carried_can(),) if with_can else ()
-    checker = CollisionChecker(robot, _world(), attachments, SAMPLE_MARGIN)
+    checker = shared_checker(robot, _world(), attachments, SAMPLE_MARGIN)
     rng = np.random.default_rng([environment, 0])
     start = sample_region(robot, grasp_region(can_com(environment)), checker, rng, count=1)
     if len(start.configurations) == 0:
@@ -93,5 +98,5 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
         goals=np.empty((0, robot.dof)),
         constraint=(upright(),),
         attachments=attachments,
-        goal_region=grasp_region(np.add(SHELF_LINK, CAN.com)),
+        goal_region=_on_the_shelf(),
     )
