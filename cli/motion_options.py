@@ -69,7 +69,8 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     if args.scene is not None:
         scene = read_scene(args.scene)
     else:
-        scene = scene_of(args, scanned(args, robot, start))
+        arm = arm_of(args, robot, start)
+        scene = scene_of(args, scanned(args, arm), arm)
         refuse_touching(scene, Arm(robot, start))
     return PlanningProblem(
         (args.scene or args.cloud[0]).stem,
@@ -82,12 +83,16 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     )
 
 
-def scanned(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Scan:
-    """What --cloud shows; the robot stood at --arm-at, or at q (n,). The report of it goes to standard error."""
-    at = q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at)
-    made = scan_of(args, args.cloud, Arm(robot, at))
+def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
+    """What --cloud shows; the report of it goes to standard error."""
+    made = scan_of(args, args.cloud, arm)
     print("\n".join(scan_report(made, args.cloud)), file=sys.stderr)
     return made
+
+
+def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
+    """The robot while the scan was taken: at --arm-at, or else at q (n,)."""
+    return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
 
 
 def configuration(robot: Robot, option: str, text: str) -> np.ndarray:

@@ -6,7 +6,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from cli.motion_options import add_motion, motion_given, motion_problem, scanned
+from cli.motion_options import add_motion, arm_of, motion_given, motion_problem, scanned
 from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
 from cli.planner_options import add_budget, budget
@@ -128,7 +128,7 @@ def _method(args: argparse.Namespace, problem: PlanningProblem) -> Method:
         return method
     from cvqmpt_lab.methods.observation import shown
 
-    return shown(method, scanned(args, problem.robot, problem.start).points)
+    return shown(method, scanned(args, arm_of(args, problem.robot, problem.start)).points)
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:

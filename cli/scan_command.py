@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, arm)
-    scene = scene_of(args, made)
+    scene = scene_of(args, made, arm)
     if arm is not None:
         refuse_touching(scene, arm)
     print("\n".join(scan_report(made, args.files)))

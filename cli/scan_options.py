@@ -12,8 +12,10 @@ from cli.options import numbers, positive
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cameras import BoxCrop
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.captures import read_capture
-from cvqmpt_lab.sensing.scan import Arm, Scan, ScanSettings, scan
+from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
+from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, scan
 from cvqmpt_lab.sensing.supporting_plane import CAMERA_UP
 
 PLANES = ("keep", "box", "remove")
@@ -75,10 +77,20 @@ def add_scan(parser: argparse.ArgumentParser) -> None:
     )
     obstacles = parser.add_argument_group("obstacles made of the scan")
     obstacles.add_argument(
-        "--map", type=positive, default=0.02, metavar="M", help="edge of the cells of an occupancy map (0.02)"
+        "--map",
+        type=positive,
+        default=RESOLUTION,
+        metavar="M",
+        help=f"edge of the cells of a map ({RESOLUTION})",
     )
     obstacles.add_argument(
         "--padding", type=float, default=0.0, metavar="M", help="cells are swelled by this (0)"
+    )
+    obstacles.add_argument(
+        "--unknown",
+        choices=("free", "occupied"),
+        default="free",
+        help="cells that no camera looked into (free)",
     )
     obstacles.add_argument(
         "--radius", type=positive, metavar="M", help="balls around the points instead; 0.87 voxels cover all"
@@ -116,9 +128,16 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) ->
     return scan(captures, settings, np.random.default_rng(0), arm)
 
 
-def scene_of(args: argparse.Namespace, made: Scan) -> Scene:
-    """The scan as the obstacles that the options say."""
-    return made.scene(args.map, args.padding, args.radius)
+def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
+    """The scan as the obstacles that the options say; arm: the robot, which stands in known space."""
+    if args.radius is not None:
+        return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
+    if len(made.points) == 0 and args.unknown == "free":
+        return made.scene()
+    settings = MapSettings(
+        resolution=args.map, padding=args.padding, unknown=args.unknown, robot_margin=args.robot_margin
+    )
+    return made.scene(occupancy_map(made.points, settings, made.captures, arm))
 
 
 def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:

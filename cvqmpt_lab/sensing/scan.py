@@ -1,7 +1,7 @@
 """A scan: what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from cvqmpt_lab.scene.cameras import BallCrop, BoxCrop
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.scene.voxels import voxel_means
 from cvqmpt_lab.sensing.filters import lonely, near_robot
 from cvqmpt_lab.sensing.supporting_plane import (
@@ -30,8 +30,8 @@ from cvqmpt_lab.sensing.supporting_plane import (
 
 NEIGHBOURHOOD = 3.0
 """Voxels around a point in which its neighbours are counted."""
-COVERING = 0.87
-"""Radius, in voxels, of balls that cover the voxels whose points they stand for: half the diagonal."""
+RESOLUTION = 0.02
+"""Edge of a map's cells [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,11 @@ class Capture:
     """Pixels, or rows of a file, without a finite point."""
     T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
     """(4, 4); the camera's frame is the robot's base frame unless said otherwise."""
+
+    @property
+    def in_world(self) -> FloatArray:
+        """The points (m, 3) in the robot's base frame [m]."""
+        return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
 
 class Arm(NamedTuple):
@@ -78,6 +83,8 @@ class ScanSettings:
             raise InvalidInputError(f"voxel of {self.voxel} m: give more than 0")
         if not self.robot_margin >= 0.0:
             raise InvalidInputError(f"robot margin of {self.robot_margin} m: give 0 or more")
+        if self.neighbours < 0:
+            raise InvalidInputError(f"{self.neighbours} neighbours: give 0 or more")
 
 
 class Step(NamedTuple):
@@ -109,8 +116,8 @@ class Scan:
     """Pixels or rows that held no point."""
     steps: tuple[Step, ...]
     """What each filter did, in order."""
-    voxel: float
-    """[m] that its points are apart."""
+    captures: tuple[Capture, ...] = ()
+    """What it was made of, at the poses that were used."""
     levelled: Levelled | None = None
     """None unless asked for."""
     plane: SupportingPlane | None = None
@@ -118,24 +125,15 @@ class Scan:
     table: SceneObject | None = None
     """The box that stands for it."""
 
-    def scene(
-        self, resolution: float = 0.02, padding: float = 0.0, radius: float | None = None, name: str = "scan"
-    ) -> Scene:
+    def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:
         """The scan as obstacles, and the table's box.
 
-        Parameters
-        ----------
-        resolution, padding: of an occupancy map: edge of its cells, and what they are swelled by [m].
-        radius: of balls around the points instead [m]; `COVERING` voxels cover what the points stand for.
+        shape: what stands for the points; the cells of `RESOLUTION` that hold some unless given.
         """
         boxes = () if self.table is None else (self.table,)
-        if len(self.points) == 0:
+        if shape is None and len(self.points) == 0:
             return Scene(name, boxes)
-        shape = (
-            map_of_points(self.points, resolution, padding)
-            if radius is None
-            else PointCloud(self.points, radius)
-        )
+        shape = map_of_points(self.points, RESOLUTION) if shape is None else shape
         return Scene(name, (SceneObject(name, shape, np.eye(4)), *boxes))
 
 
@@ -151,9 +149,9 @@ def scan(
     InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be levelled.
     """
     levelled = _level(captures, settings, rng) if settings.level else None
-    poses = [levelled.T_world_camera if levelled else capture.T_world_camera for capture in captures]
-    placed = zip(captures, poses, strict=True)
-    points = np.concatenate([capture.points @ T[:3, :3].T + T[:3, 3] for capture, T in placed])
+    if levelled is not None:
+        captures = [replace(captures[0], T_world_camera=levelled.T_world_camera)]
+    points = np.concatenate([capture.in_world for capture in captures])
     steps = []
     for name, keep in FILTERS.items():
         left = keep(points, settings, arm)
@@ -171,7 +169,7 @@ def scan(
         steps.append(Step("supporting plane", len(points), len(left)))
         points = left
     unseen = sum(capture.unseen for capture in captures)
-    return Scan(points, unseen, tuple(steps), settings.voxel, levelled, plane, table)
+    return Scan(points, unseen, tuple(steps), tuple(captures), levelled, plane, table)
 
 
 def refuse_touching(scene: Scene, arm: Arm) -> None:

@@ -1,6 +1,5 @@
 """What a scan costs: a million points from a file, a depth image, its filters, from that image to a certified path."""
 
-import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -8,7 +7,6 @@ import numpy as np
 
 from cvqmpt_lab.cameras.camera import DepthCamera, Lens
 from cvqmpt_lab.cameras.view import view_of
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
@@ -19,12 +17,11 @@ from cvqmpt_lab.scene.cameras import BoxCrop, arm_objects, solids_of
 from cvqmpt_lab.scene.files.cloud_writing import write_cloud
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.camera import Pinhole
 from cvqmpt_lab.sensing.captures import read_capture
-from cvqmpt_lab.sensing.depth_images import write_depth
 from cvqmpt_lab.sensing.filters import lonely, near_robot
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
 from cvqmpt_lab.sensing.supporting_plane import CAMERA_TILT, CAMERA_UP, supporting_plane
+from cvqmpt_lab.sensing.virtual import write_view
 from experiments.bench.timing import Figure, calibration, timed
 
 START = np.array([-0.9, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
@@ -62,10 +59,8 @@ def _image(folder: Path) -> list[Figure]:
     """A depth image of a bench with an arm in it."""
     robot, rng = panda(), np.random.default_rng(0)
     arm = Arm(robot, START)
-    files = folder / "depth.png", folder / "lens.json", folder / "pose.json"
-    write_depth(files[0], view_of(solids_of((*BENCH, *arm_objects(robot, START))), EYE, LENS).depth)
-    files[1].write_text(json.dumps(to_plain(Pinhole.of(LENS))))
-    files[2].write_text(json.dumps(EYE.T_world_camera.tolist()))
+    view = view_of(solids_of((*BENCH, *arm_objects(robot, START))), EYE, LENS)
+    files = write_view(view, folder, "depth")
     capture = read_capture(*files)
     points = scan([capture], ScanSettings(), rng).points
 

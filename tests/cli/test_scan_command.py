@@ -18,9 +18,8 @@ from cvqmpt_lab.scene.files.cloud_writing import write_cloud
 from cvqmpt_lab.scene.files.clouds import read_cloud
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.camera import Pinhole
-from cvqmpt_lab.sensing.depth_images import write_depth
 from cvqmpt_lab.sensing.filters import near_robot
+from cvqmpt_lab.sensing.virtual import write_view
 
 START, GOAL = "-0.9,0.3,0,-2.0,0,2.3,0.8", "0.9,0.3,0,-2.0,0,2.3,0.8"
 LENS = Lens(width=160, height=120, vertical_fov=60.0, near=0.2)
@@ -36,11 +35,7 @@ def folder(tmp_path_factory, panda):
         SceneObject("post", Box((0.08, 0.08, 0.5)), pose((0.62, 0.0, 0.25))),
     )
     view = view_of(solids_of((*objects, *arm_objects(panda, np.fromstring(START, sep=",")))), EYE, LENS)
-    write_depth(folder / "depth.png", view.depth)
-    lens = Pinhole.of(LENS)
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    (folder / "lens.yaml").write_text("".join(f"{name}: {getattr(lens, name)}\n" for name in names))
-    (folder / "pose.json").write_text(json.dumps(EYE.T_world_camera.tolist()))
+    write_view(view, folder, "depth")
     T = EYE.T_world_camera
     write_cloud(folder / "cloud.ply", (view.points - T[:3, 3]) @ T[:3, :3])
     return folder
@@ -48,7 +43,12 @@ def folder(tmp_path_factory, panda):
 
 @pytest.fixture
 def camera(folder):
-    return ["--intrinsics", folder / "lens.yaml", "--extrinsics", folder / "pose.json"]
+    return [
+        "--intrinsics",
+        folder / "depth.intrinsics.json",
+        "--extrinsics",
+        folder / "depth.extrinsics.json",
+    ]
 
 
 def run(*words):
@@ -74,6 +74,24 @@ def test_a_picture_shows_what_is_left(folder, camera, tmp_path, capsys):
     assert run("scan", folder / "depth.png", *camera, *words) == 0
     assert "picture written to" in capsys.readouterr().out
     assert Image.open(tmp_path / "scan.png").size == (1200, 800)
+
+
+def test_unknown_space_may_be_an_obstacle(folder, camera, tmp_path, capsys):
+    counts = []
+    for unknown in ("free", "occupied"):
+        words = [
+            "--arm-at",
+            START,
+            "--map",
+            "0.05",
+            "--unknown",
+            unknown,
+            "--out",
+            tmp_path / f"{unknown}.json",
+        ]
+        assert run("scan", folder / "depth.png", *camera, *words) == 0
+        counts.append(len(read_scene(tmp_path / f"{unknown}.json")["scan"].shape.cells))
+    assert counts[1] > 3 * counts[0]
 
 
 def test_a_scan_without_a_pose_is_levelled(folder, capsys):
@@ -154,5 +172,5 @@ REFUSED_PLANS = {
 def test_a_motion_that_is_not_told_whole_is_refused(folder, name, capsys):
     words, message = REFUSED_PLANS[name]
     words = [folder / "cloud.ply" if word == "CLOUD" else word for word in words]
-    pose = ["--extrinsics", folder / "pose.json"] if "CLOUD" in REFUSED_PLANS[name][0] else []
+    pose = ["--extrinsics", folder / "depth.extrinsics.json"] if "CLOUD" in REFUSED_PLANS[name][0] else []
     assert message in refused(capsys, "plan", *words, *pose)

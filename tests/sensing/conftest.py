@@ -1,6 +1,5 @@
 """A table, a box and the arm, as a depth camera sees them: files that the tests write."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,8 +12,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import arm_objects, solids_of
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.camera import Pinhole
-from cvqmpt_lab.sensing.depth_images import write_depth
+from cvqmpt_lab.sensing.virtual import write_view
 
 ARM_AT = np.array([0.0, -0.6, 0.0, -2.4, 0.0, 1.9, 0.8])
 SCENE = Scene(
@@ -33,10 +31,7 @@ def files(tmp_path):
     """Depth image, intrinsics and extrinsics of one camera; the scene and the arm that it saw."""
     robot = panda()
     view = view_of(solids_of((*SCENE.objects, *arm_objects(robot, ARM_AT))), EYE, LENS)
-    depth, intrinsics, extrinsics = (tmp_path / name for name in ("depth.png", "lens.json", "pose.json"))
-    write_depth(depth, view.depth)
-    intrinsics.write_text(json.dumps(intrinsics_of(LENS)))
-    extrinsics.write_text(json.dumps(EYE.T_world_camera.tolist()))
+    depth, intrinsics, extrinsics = write_view(view, tmp_path, "depth")
     return SimpleNamespace(
         depth=depth,
         intrinsics=intrinsics,
@@ -46,7 +41,3 @@ def files(tmp_path):
         q=ARM_AT,
         folder=tmp_path,
     )
-
-
-def intrinsics_of(lens):
-    return {name: getattr(Pinhole.of(lens), name) for name in ("width", "height", "fx", "fy", "cx", "cy")}

@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cameras import BoxCrop
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.captures import read_capture
 from cvqmpt_lab.sensing.filters import near_robot
-from cvqmpt_lab.sensing.scan import COVERING, Arm, ScanSettings, refuse_touching, scan
+from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
 
 CROP = BoxCrop((-0.3, -0.9, -0.2), (1.2, 0.9, 1.2))
 
@@ -93,7 +94,9 @@ def test_two_captures_cannot_be_levelled(capture):
         scan([capture, capture], ScanSettings(level=True), np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("settings", [{"voxel": 0.0}, {"voxel": float("nan")}, {"robot_margin": -0.1}])
+@pytest.mark.parametrize(
+    "settings", [{"voxel": 0.0}, {"voxel": float("nan")}, {"robot_margin": -0.1}, {"neighbours": -1}]
+)
 def test_settings_without_sense_are_refused(settings):
     with pytest.raises(InvalidInputError, match=r"give (more than 0|0 or more)"):
         ScanSettings(**settings)
@@ -101,14 +104,14 @@ def test_settings_without_sense_are_refused(settings):
 
 def test_obstacles_cover_the_surface_that_the_camera_saw(capture):
     made = cleaned(capture, neighbours=0)
-    seen = capture.points @ capture.T_world_camera[:3, :3].T + capture.T_world_camera[:3, 3]
-    cloud = made.scene(radius=COVERING * made.voxel)["scan"].shape
-    assert nearest(seen[::50], cloud.points).max() <= cloud.radius
-    cells = made.scene(0.02)["scan"].shape
-    assert nearest(seen[::50], cells.centres).max() <= 0.02, (
-        "in a cell, or beside the one of its voxel's mean"
+    cells = made.scene()["scan"].shape
+    assert nearest(capture.in_world[::50], cells.centres).max() <= 0.02, (
+        "in a cell, or beside that of its voxel"
     )
-    assert len(cells.cells) < len(cloud.points)
+    assert len(cells.cells) < len(made.points)
+    balls = PointCloud(made.points, 0.87 * 0.01)
+    assert made.scene(balls)["scan"].shape is balls
+    assert nearest(capture.in_world[::50], balls.points).max() <= balls.radius
 
 
 def nearest(points, others):
