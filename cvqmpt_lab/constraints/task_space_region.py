@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -160,7 +160,7 @@ class RegionConstraint:
     def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Both, (m,) and (m, n) or (b, m) and (b, m, n)."""
         batch = np.array(q, dtype=float, order="C", ndmin=2)  # writable: one type, compiled once
-        residual, jacobian = batch_residual_and_jacobian(self.robot.kinematics, self.regions(), batch, full)
+        residual, jacobian = batch_residual_and_jacobian(self.robot.kinematics, self.regions, batch, full)
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
 
     def project(
@@ -168,11 +168,12 @@ class RegionConstraint:
     ) -> np.ndarray | None:
         """Algorithm 1 of the paper with its missing inverse, inside the joint limits; None when it fails."""
         q = np.array(q, dtype=float)
-        regions = self.regions()
+        regions = self.regions
         scratch = projection_scratch(self.robot.dof, regions)
         iterations = project(self.robot.kinematics, regions, q, tolerance, max_iterations, scratch)
         return q if iterations >= 0 else None
 
+    @cached_property
     def regions(self) -> Regions:
         """Plain arrays of all members."""
         return stack_regions(self.robot, self.members)

@@ -1,25 +1,39 @@
 """Goal configurations drawn from a region of poses: solved and checked in compiled code."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from cvqmpt_lab.constraints.inverse_kinematics import (
     ATTEMPTS,
     MAX_ITERATIONS,
-    POSES,
+    NEAR,
     SAMPLE_MARGIN,
     TOLERANCE,
     GoalSample,
-    first_guesses,
     pose_regions,
 )
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.manifold.projection import projection_scratch
-from cvqmpt_lab.kernels.search.reach import COLLIDING, UNREACHABLE, reach_free
+from cvqmpt_lab.kernels.search.reach import (
+    COLLIDING,
+    UNREACHABLE,
+    UNTRIED,
+    Poses,
+    Seeds,
+    reach_free,
+)
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.exact_shapes import reach_with
+
+SEEDS = 8192  # configurations anywhere, made once a robot
+SEEDS_NEAR = 512  # configurations around a given one
+LOOK = 16
+SHARE_OF_REACH = 0.3  # that a hand must be shifted to be as far off as one turned by a radian
 
 
 def sample_goals(
@@ -32,41 +46,63 @@ def sample_goals(
 ) -> GoalSample:
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
-    The draws are those of `sample_region`, and so are the configurations, except where the compiled checker, which is
-    a little more cautious than coal, calls one colliding.
-
-    within, near: see `solve_poses`.
+    within: regions kept at the same time; that of a held handle puts its door where the hand is.
+    near: configuration (n,) that Newton's method starts around, instead of anywhere.
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
     regions = pose_regions(robot, within)
-    scratch = projection_scratch(robot.dof, regions)
-    pieces = robot_arrays(robot, problem.attachments)
-    obstacles = scene_arrays(problem.scene, reach_with(robot, problem.attachments))
-    found: list[np.ndarray] = []
-    tried = unreachable = colliding = 0
-    while len(found) < count and tried < max_poses:
-        poses = region.sample_poses(rng, min(POSES, max_poses - tried))
-        guesses = first_guesses(robot, rng, len(poses), ATTEMPTS, near)
-        chosen = np.empty(len(poses), dtype=np.int64)
-        looked = reach_free(
-            robot.kinematics,
-            regions,
-            pieces,
-            obstacles,
-            SAMPLE_MARGIN,
-            np.ascontiguousarray(poses[:, :3, :3]),
-            np.ascontiguousarray(poses[:, :3, 3]),
-            guesses,
-            TOLERANCE,
-            MAX_ITERATIONS,
-            scratch,
-            count - len(found),
-            chosen,
-        )
-        chosen = chosen[:looked]
-        found += [guesses[k, attempt] for k, attempt in enumerate(chosen) if attempt >= 0]
-        tried += looked
-        unreachable += int((chosen == UNREACHABLE).sum())
-        colliding += int((chosen == COLLIDING).sum())
-    return GoalSample(np.array(found).reshape(-1, robot.dof), tried, unreachable, colliding)
+    seeds = _seeds_anywhere(robot) if near is None else _seeds_near(robot, near, rng)
+    T = region.sample_poses(rng, max_poses)
+    poses = Poses(
+        np.ascontiguousarray(T[:, :3, :3]),
+        np.ascontiguousarray(T[:, :3, 3]),
+        np.empty((max_poses, robot.dof)),
+        np.empty(max_poses, dtype=np.int64),
+        np.empty(max_poses, dtype=np.int64),
+    )
+    found = reach_free(
+        robot.kinematics,
+        regions,
+        robot_arrays(robot, problem.attachments),
+        scene_arrays(problem.scene, reach_with(robot, problem.attachments)),
+        SAMPLE_MARGIN,
+        seeds,
+        rng.integers(len(seeds.configurations) - LOOK + 1, size=(ATTEMPTS, max_poses)),
+        LOOK,
+        TOLERANCE,
+        MAX_ITERATIONS,
+        projection_scratch(robot.dof, regions),
+        count,
+        poses,
+    )
+    return GoalSample(
+        poses.configurations[poses.reached[:found]],
+        poses_tried=int((poses.verdict != UNTRIED).sum()),
+        unreachable=int((poses.verdict == UNREACHABLE).sum()),
+        colliding=int((poses.verdict == COLLIDING).sum()),
+    )
+
+
+@lru_cache(maxsize=8)
+def _seeds_anywhere(robot: Robot) -> Seeds:
+    """Uniform configurations, always the same."""
+    return _seeds(robot, robot.random_configurations(np.random.default_rng(0), SEEDS))
+
+
+def _seeds_near(robot: Robot, near: np.ndarray, rng: np.random.Generator) -> Seeds:
+    """Configurations scattered around one (n,), inside the limits."""
+    scattered = near + NEAR * rng.standard_normal((SEEDS_NEAR, robot.dof))
+    return _seeds(robot, np.clip(scattered, robot.lower, robot.upper))
+
+
+def _seeds(robot: Robot, configurations: np.ndarray) -> Seeds:
+    """Configurations (k, n) with their hand poses."""
+    link, T = robot.end_effector_link
+    rotations, translations = link_poses(robot.kinematics, configurations)
+    return Seeds(
+        configurations,
+        rotations[:, link] @ T[:3, :3],
+        translations[:, link] + rotations[:, link] @ T[:3, 3],
+        SHARE_OF_REACH * robot.reach,
+    )

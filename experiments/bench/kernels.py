@@ -44,7 +44,7 @@ def bench_kernels() -> list[Figure]:
     robot, constraint = problem.robot, RegionConstraint(problem.robot, (upright(),))
     rng = np.random.default_rng(0)
     uniform = robot.random_configurations(rng, STATES)
-    regions = constraint.regions()
+    regions = constraint.regions
     scratch = projection_scratch(robot.dof, regions)
 
     def project(configurations: np.ndarray) -> Callable[[], object]:

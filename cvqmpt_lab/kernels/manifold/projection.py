@@ -18,6 +18,7 @@ from cvqmpt_lab.kernels.manifold.regions import Regions, jacobian, residual
 
 DAMPING = 1e-9  # relative to the trace of J J^T
 LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm
+STALLED = 0.9  # an attempt in a hurry ends with the first step that leaves more than this share of |F|
 
 
 class ProjectionScratch(NamedTuple):
@@ -121,34 +122,22 @@ def _hold_joints_at_limits(kinematics, q, scratch):
     return found
 
 
-@entry
-@kernel(inline="machine")
-def project(
-    kinematics: Kinematics,
-    regions: Regions,
-    q: Annotated[np.ndarray, "n"],
-    tolerance,
-    max_iterations,
-    scratch: ProjectionScratch,
-):
-    """Move q (n,) in place onto the manifold and inside the joint limits.
-
-    Returns
-    -------
-    Newton iterations used, or -1 - iterations when |F| > tolerance after max_iterations.
-    On success scratch holds the link poses of q, ready for a collision check.
-    """
+@kernel(inline="source")
+def newton(kinematics, regions, q, tolerance, max_iterations, hurry, scratch):
+    """Move q (n,) in place as `project` does; hurry: give up as soon as the residual stalls."""
     for j in range(q.shape[0]):
         q[j] = min(max(q[j], kinematics.lower[j]), kinematics.upper[j])
     rotation, translation = scratch.link_rotation, scratch.link_translation
-    iteration = 0
+    iteration, before = 0, np.inf
     while True:
         forward_kinematics(kinematics, q, rotation, translation)
         square = residual(regions, rotation, translation, scratch.residual, scratch.displacement)
         if square <= tolerance * tolerance:
             return iteration
-        if iteration == max_iterations or not np.isfinite(square):
+        stalled = hurry and square > STALLED * STALLED * before
+        if iteration == max_iterations or stalled or not np.isfinite(square):
             return -1 - iteration
+        before = square
         jacobian(
             kinematics,
             regions,
@@ -166,6 +155,26 @@ def project(
         for j in range(q.shape[0]):
             q[j] = min(max(q[j] + scratch.step[j], kinematics.lower[j]), kinematics.upper[j])
         iteration += 1
+
+
+@entry
+@kernel(inline="machine")
+def project(
+    kinematics: Kinematics,
+    regions: Regions,
+    q: Annotated[np.ndarray, "n"],
+    tolerance,
+    max_iterations,
+    scratch: ProjectionScratch,
+):
+    """Move q (n,) in place onto the manifold and inside the joint limits.
+
+    Returns
+    -------
+    Newton iterations used, or -1 - iterations when |F| > tolerance after max_iterations.
+    On success scratch holds the link poses of q, ready for a collision check.
+    """
+    return newton(kinematics, regions, q, tolerance, max_iterations, False, scratch)
 
 
 @entry

@@ -1,6 +1,11 @@
-"""Inverse kinematics and collision in one: the first free configuration that reaches each of many poses."""
+"""Inverse kinematics and collision in one: free configurations that reach many poses, with as little work as it takes.
 
-from typing import Annotated
+Newton's method starts from a seed that already puts the hand near the pose, and is given up as soon as it stalls:
+of the poses of a region most have no free solution, and what fails must fail cheaply. Attempts go round the poses,
+so that none is pressed hard before all have had their turn, and every third begins where another pose was reached.
+"""
+
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -9,10 +14,56 @@ from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
-from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, project
+from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, newton
 from cvqmpt_lab.kernels.manifold.regions import Regions
 
-UNREACHABLE, COLLIDING = -1, -2
+REACHED, UNTRIED, UNREACHABLE, COLLIDING = range(4)
+
+
+class Seeds(NamedTuple):
+    """Configurations and where each puts the hand."""
+
+    configurations: Annotated[np.ndarray, "rows n"]
+    """[rad or m]."""
+    rotations: Annotated[np.ndarray, "rows 3 3"]
+    """Of the end effector."""
+    translations: Annotated[np.ndarray, "rows 3"]
+    """Of the end effector [m]."""
+    length: float
+    """A hand this far off is as far as one turned by a radian [m]."""
+
+
+class Poses(NamedTuple):
+    """Where the hand shall be, and what came of it."""
+
+    rotations: Annotated[np.ndarray, "count 3 3"]
+    """Of the end effector."""
+    translations: Annotated[np.ndarray, "count 3"]
+    """Of the end effector [m]."""
+    configurations: Annotated[np.ndarray, "count n"]
+    """That reach them, where the verdict says so [rad or m]."""
+    verdict: Annotated[np.ndarray, "int64 count"]
+    """REACHED by a free configuration, UNTRIED, UNREACHABLE so far, or COLLIDING where only others reached it."""
+    reached: Annotated[np.ndarray, "int64 count"]
+    """Numbers of the poses reached, in that order."""
+
+
+@kernel(inline="source")
+def _nearest_seed(seeds, first, look, rotation, translation):
+    """The one of `look` seeds from the first that puts the hand nearest to a pose."""
+    nearest, least = first, np.inf
+    for k in range(first, first + look):
+        shift = turn = 0.0
+        for i in range(3):
+            gap = seeds.translations[k, i] - translation[i]
+            shift += gap * gap
+            for j in range(2):  # the third axis follows
+                gap = seeds.rotations[k, i, j] - rotation[i, j]
+                turn += gap * gap
+        square = shift / (seeds.length * seeds.length) + turn
+        if square < least:
+            nearest, least = k, square
+    return seeds.configurations[nearest]
 
 
 @entry
@@ -23,44 +74,58 @@ def reach_free(
     robot: RobotGeometry,
     scene: SceneGeometry,
     margin,
-    rotations: Annotated[np.ndarray, "count 3 3"],
-    translations: Annotated[np.ndarray, "count 3"],
-    configurations: Annotated[np.ndarray, "count attempts n"],
+    seeds: Seeds,
+    firsts: Annotated[np.ndarray, "int64 attempts count"],
+    look,
     tolerance,
     max_iterations,
     scratch: ProjectionScratch,
     wanted,
-    chosen: Annotated[np.ndarray, "int64 count"],
+    poses: Poses,
 ):
-    """Project configurations in place onto one pose each, in order, until one is free; go on to the next pose.
+    """Find a free configuration for each of several poses, until there are as many as wanted.
 
-    rotations, translations: poses of the reference frame of the first region [m].
-    margin: to be kept [m]. wanted: stop when so many poses have a free configuration.
-    chosen: which attempt serves each pose, UNREACHABLE, or COLLIDING when what reached it was not free.
+    Parameters
+    ----------
+    regions: the first is the pose to be reached, the others are kept at the same time.
+    margin: to be kept from obstacles [m].
+    firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose] on.
+    poses: configurations and verdicts are written.
 
     Returns
     -------
-    Number of poses tried.
+    Number of poses reached.
     """
     found = 0
-    for i in range(rotations.shape[0]):
-        if found == wanted:
-            return i
-        for row in range(3):
-            regions.reference_translation[0, row] = translations[i, row]
-            for column in range(3):
-                regions.reference_rotation[0, row, column] = rotations[i, row, column]
-        chosen[i] = UNREACHABLE
-        for attempt in range(configurations.shape[1]):
-            if (
-                project(kinematics, regions, configurations[i, attempt], tolerance, max_iterations, scratch)
-                < 0
-            ):
+    for i in range(poses.verdict.shape[0]):
+        poses.verdict[i] = UNTRIED
+    for attempt in range(firsts.shape[0]):
+        for i in range(firsts.shape[1]):
+            if found >= wanted:
+                return found
+            if poses.verdict[i] == REACHED:
+                continue
+            rotation, translation, q = poses.rotations[i], poses.translations[i], poses.configurations[i]
+            for row in range(3):
+                regions.reference_translation[0, row] = translation[row]
+                for column in range(3):
+                    regions.reference_rotation[0, row, column] = rotation[row, column]
+            first = firsts[attempt, i]
+            if attempt % 3 == 2 and found > 0:
+                seed = poses.configurations[poses.reached[first % found]]
+            else:
+                seed = _nearest_seed(seeds, first, look, rotation, translation)
+            for j in range(q.shape[0]):
+                q[j] = seed[j]
+            iterations = newton(kinematics, regions, q, tolerance, max_iterations, True, scratch)
+            if iterations <= 0:  # none at all: a goal that there is already
+                poses.verdict[i] = max(poses.verdict[i], UNREACHABLE)
                 continue
             geometry, _ = first_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin)
-            if geometry == FREE:
-                chosen[i] = attempt
-                found += 1
-                break
-            chosen[i] = COLLIDING
-    return rotations.shape[0]
+            if geometry != FREE:
+                poses.verdict[i] = COLLIDING
+                continue
+            poses.verdict[i] = REACHED
+            poses.reached[found] = i
+            found += 1
+    return found
