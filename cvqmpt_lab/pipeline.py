@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.certificate import Certificate, certify
+from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
 from cvqmpt_lab.methods.method import Method, Stages
@@ -72,7 +73,8 @@ def solve(
     method = planner_named(method) if isinstance(method, str) else method
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
-        return Solution(problem, no_plan(PlanStatus.NO_GOAL), goal_seconds=goal_seconds)
+        plan = no_plan(PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}")
+        return Solution(problem, plan, goal_seconds=goal_seconds)
     check_problem(problem)
     require_fit(method, problem)
     stages = method.stages(problem)
@@ -120,9 +122,9 @@ def solve_many(
     return [found[index] for index in range(len(problems))]
 
 
-def no_plan(status: PlanStatus) -> PlanResult:
+def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
     """The result of a search that was never begun."""
-    return PlanResult(status, None, 0.0, Counters(), 0, "none")
+    return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
 
 
 def _observe(stages: Stages, problem: PlanningProblem) -> Observation:
@@ -135,17 +137,23 @@ def _observe(stages: Stages, problem: PlanningProblem) -> Observation:
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:
     """The problem with goal configurations drawn from its goal region when it has none, and the seconds spent.
 
-    The draw depends on the problem's start alone, so that every planner and seed gets the same goals.
-    Where the hand holds a door, goals have the door where the hand takes it, and an arm posture like the
-    start's: most other postures can only be reached by letting go. Goals off the manifold are left out, unless
-    all are: `check_problem` then says by how much.
+    Goals off the manifold are left out, unless all are: `check_problem` then says by how much.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0
     began = time.perf_counter()
-    rng = np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64))
-    held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
-    near = problem.start if held else None
-    found = sample_goals(problem, rng, MAX_GOALS, within=held, near=near).configurations
+    found = drawn_goals(problem).configurations
     kept = found[np.linalg.norm(problem.manifold.residual(found), axis=1) <= TOLERANCE]
     return problem.with_goals(kept if len(kept) else found), time.perf_counter() - began
+
+
+def drawn_goals(problem: PlanningProblem) -> GoalSample:
+    """Goals from the problem's goal region, and how many poses gave none.
+
+    The draw depends on the problem's start alone, so that every planner and seed gets the same goals.
+    Where the hand holds a door, goals have the door where the hand takes it, and an arm posture like the
+    start's: most other postures can only be reached by letting go.
+    """
+    rng = np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64))
+    held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
+    return sample_goals(problem, rng, MAX_GOALS, within=held, near=problem.start if held else None)
