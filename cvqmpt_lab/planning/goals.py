@@ -72,6 +72,7 @@ def sample_goals(
         LOOK,
         TOLERANCE,
         MAX_ITERATIONS,
+        near is None,  # from a given posture the way may be long
         projection_scratch(robot.dof, regions),
         count,
         poses,

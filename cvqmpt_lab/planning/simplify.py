@@ -11,13 +11,16 @@ from cvqmpt_lab.planning.result import Counters, JointPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 ROUND = 16  # shortcuts tried between looks at the clock
+SWEEP = 112  # shortcuts from the longest to the shortest
+LONGEST, SHORTEST = 0.5, 0.05  # share of the path's length that a shortcut replaces, give or take SPREAD
+SPREAD = 0.3
 
 
 @dataclass(frozen=True)
 class SimplifySettings:
     """When to stop. Without seconds the result depends on path and seed alone."""
 
-    attempts: int = 64
+    attempts: int = SWEEP
     """Shortcuts tried at most."""
     seconds: float | None = None
     """Wall time at most [s]; None: not limited."""
@@ -64,9 +67,7 @@ def simplify(
     while tried < settings.attempts and stale < settings.patience:
         if settings.seconds is not None and time.perf_counter() - began > settings.seconds:
             break
-        picks = rng.random((min(ROUND, settings.attempts - tried), 2))
-        if tried == 0:
-            picks[0] = (0.0, 1.0)  # the whole path at once
+        picks = _picks(rng, tried, min(ROUND, settings.attempts - tried))
         count = shortcut(space.arrays, states, count, picks, detour)
         space.reraise()
         tried += len(picks)
@@ -76,3 +77,14 @@ def simplify(
     return Simplified(
         JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before)
     )
+
+
+def _picks(rng: np.random.Generator, tried: int, count: int) -> np.ndarray:
+    """Ends (count, 2) of the next shortcuts, as shares of the path's length: long ones first, then ever shorter."""
+    swept = (tried + np.arange(count)) % SWEEP / SWEEP
+    spans = LONGEST * (SHORTEST / LONGEST) ** swept * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, count)
+    begins = rng.random(count) * (1.0 - spans)
+    picks = np.stack([begins, begins + spans], axis=1)
+    if tried == 0:
+        picks[0] = (0.0, 1.0)  # the whole path at once
+    return picks

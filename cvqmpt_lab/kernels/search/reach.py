@@ -1,8 +1,8 @@
 """Inverse kinematics and collision in one: free configurations that reach many poses, with as little work as it takes.
 
 Newton's method starts from a seed that already puts the hand near the pose, and is given up as soon as it stalls:
-of the poses of a region most have no free solution, and what fails must fail cheaply. Attempts go round the poses,
-so that none is pressed hard before all have had their turn, and every third begins where another pose was reached.
+of the poses of a region most have no free solution, and what fails must fail cheaply. A visit to a pose is VISIT
+attempts at most; all poses are visited before any is visited again.
 """
 
 from typing import Annotated, NamedTuple
@@ -18,6 +18,7 @@ from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, newton
 from cvqmpt_lab.kernels.manifold.regions import Regions
 
 REACHED, UNTRIED, UNREACHABLE, COLLIDING = range(4)
+VISIT = 4  # attempts at a pose before the next one's turn
 
 
 class Seeds(NamedTuple):
@@ -79,6 +80,7 @@ def reach_free(
     look,
     tolerance,
     max_iterations,
+    hurry,
     scratch: ProjectionScratch,
     wanted,
     poses: Poses,
@@ -89,7 +91,9 @@ def reach_free(
     ----------
     regions: the first is the pose to be reached, the others are kept at the same time.
     margin: to be kept from obstacles [m].
-    firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose] on.
+    firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose] on; a multiple
+        of VISIT attempts a pose.
+    hurry: attempts that stall are given up.
     poses: configurations and verdicts are written.
 
     Returns
@@ -99,33 +103,29 @@ def reach_free(
     found = 0
     for i in range(poses.verdict.shape[0]):
         poses.verdict[i] = UNTRIED
-    for attempt in range(firsts.shape[0]):
-        for i in range(firsts.shape[1]):
-            if found >= wanted:
-                return found
-            if poses.verdict[i] == REACHED:
-                continue
-            rotation, translation, q = poses.rotations[i], poses.translations[i], poses.configurations[i]
-            for row in range(3):
-                regions.reference_translation[0, row] = translation[row]
-                for column in range(3):
-                    regions.reference_rotation[0, row, column] = rotation[row, column]
-            first = firsts[attempt, i]
-            if attempt % 3 == 2 and found > 0:
-                seed = poses.configurations[poses.reached[first % found]]
-            else:
-                seed = _nearest_seed(seeds, first, look, rotation, translation)
-            for j in range(q.shape[0]):
-                q[j] = seed[j]
-            iterations = newton(kinematics, regions, q, tolerance, max_iterations, True, scratch)
-            if iterations <= 0:  # none at all: a goal that there is already
-                poses.verdict[i] = max(poses.verdict[i], UNREACHABLE)
-                continue
-            geometry, _ = first_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin)
-            if geometry != FREE:
-                poses.verdict[i] = COLLIDING
-                continue
-            poses.verdict[i] = REACHED
-            poses.reached[found] = i
-            found += 1
+    attempts, count = firsts.shape
+    for turn in range(attempts * count):
+        i, attempt = turn // VISIT % count, turn // (VISIT * count) * VISIT + turn % VISIT
+        if found >= wanted:
+            return found
+        if poses.verdict[i] == REACHED:
+            continue
+        rotation, translation, q = poses.rotations[i], poses.translations[i], poses.configurations[i]
+        for row in range(3):
+            regions.reference_translation[0, row] = translation[row]
+            for column in range(3):
+                regions.reference_rotation[0, row, column] = rotation[row, column]
+        seed = _nearest_seed(seeds, firsts[attempt, i], look, rotation, translation)
+        for j in range(q.shape[0]):
+            q[j] = seed[j]
+        if newton(kinematics, regions, q, tolerance, max_iterations, hurry, scratch) < 0:
+            poses.verdict[i] = max(poses.verdict[i], UNREACHABLE)
+            continue
+        geometry, _ = first_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin)
+        if geometry != FREE:
+            poses.verdict[i] = COLLIDING
+            continue
+        poses.verdict[i] = REACHED
+        poses.reached[found] = i
+        found += 1
     return found
