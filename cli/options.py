@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import math
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,6 +41,10 @@ def writable_file(path: Path) -> Path:
         raise InvalidInputError(f"cannot write {path}: folder {path.parent} does not exist; make it first")
     if path.is_dir():
         raise InvalidInputError(f"cannot write {path}: it is a folder; name a file in it")
+    try:
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose a writable folder") from error
     return path
 
 

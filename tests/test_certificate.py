@@ -11,7 +11,7 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Sphere
+from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from experiments.suites.place_task import place_problem
 
 
@@ -158,3 +158,14 @@ def test_all_reasons_are_given(problem):
     found = " | ".join(reasons(problem, wild))
     for part in ("begin", "end at a goal", "step of", "limits", "manifold", "collision"):
         assert part in found
+
+
+@pytest.mark.parametrize("shift", [0.0, 330.0, -1e6])
+def test_a_large_cloud_far_from_its_own_origin_is_met_where_it_stands(problem, states, shift):
+    """Its octree once dropped points far from the cloud's origin, and the path through them was certified."""
+    middle = problem.robot.pose(states[len(states) // 2])[:3, 3]
+    points = middle + np.random.default_rng(0).uniform(-0.03, 0.03, (1500, 3))
+    cloud = SceneObject("cloud", PointCloud(points + shift, 0.005), pose((-shift,) * 3))
+    blocked = replace(problem, scene=problem.scene.with_objects(cloud))
+    certificate = certify(blocked, JointPath(states))
+    assert any("cloud" in reason for reason in certificate.reasons) and certificate.min_clearance_m < 0.0

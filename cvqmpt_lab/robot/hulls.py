@@ -57,9 +57,15 @@ def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
 
 
 def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
-    """A convex piece as plain data; frames: what `axis_frames` returned."""
+    """A convex piece as plain data; frames: what `axis_frames` returned. InvalidInputError for one beyond FARTHEST."""
     link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
-    return LinkGeometry(item.name, link, T_link_geometry, hull_vertices(item.geometry))
+    vertices = hull_vertices(item.geometry)
+    farthest = float(np.abs(vertices).max())
+    if not farthest <= FARTHEST:
+        raise InvalidInputError(
+            f"collision shape {item.name} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: give metres"
+        )
+    return LinkGeometry(item.name, link, T_link_geometry, vertices)
 
 
 def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
-from cvqmpt_lab.files import json_object, read_text
+from cvqmpt_lab.files import json_object, read_text, require_regular_file
 from cvqmpt_lab.trajectory.export import KINDS
 
 
@@ -55,7 +55,7 @@ def read_motion(path: Path) -> Motion:
     ending = path.suffix.lower()
     if ending not in readers:
         raise UnknownChoiceError(f"file type of {path}:", ending, readers)
-    text = read_text(path, "motion")
+    text = read_text(require_regular_file(path, "motion"), "motion")
     try:
         motion = readers[ending](text)
     except (

@@ -1,6 +1,7 @@
 """`cvqmpt certify`: what is whole passes, what was tampered with is refused where it was tampered with."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -248,6 +249,13 @@ def test_a_trajectory_without_velocities_or_with_times_that_go_back_is_one_line(
     assert "write numbers in quotes" in refused(
         capsys, "certify", tmp_path / "bare.csv", "place-task", "--current", "a b"
     )
+
+
+def test_a_pipe_or_a_device_is_no_motion(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "device.csv").symlink_to("/dev/zero")
+    for name in ("pipe.csv", "device.csv"):
+        assert "not a regular file" in refused(capsys, "certify", tmp_path / name, "place-task")
 
 
 def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):

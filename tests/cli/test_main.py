@@ -29,6 +29,7 @@ HEAVY = ("numba", "scipy", "pinocchio", "coal", "ompl", "rerun", "matplotlib", "
         ("plan --problem-file /nope", "/nope", "No such file"),
         ("plan place-task --save /nope/x.rrd", "/nope", "does not exist"),
         ("plan place-task --save-path /nope/x.csv", "/nope", "does not exist"),
+        ("bench kernels --json /proc/x.json", "/proc/x.json", "writable folder"),
         ("reproduce nope", "'nope'", "place-task"),
         ("figure nope", "'nope'", "histogram, concept"),
         ("reproduce place-task --planners birrt,nope", "'nope'", "ompl-projected"),

@@ -283,3 +283,11 @@ def test_a_mesh_is_found_in_package_folders_and_in_ros_s(packaged, refused, monk
         assert load_robot(urdf, "tool", package_dirs=(folder,)).dof == 4
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{package.parent}")
     assert load_robot(urdf, "tool").dof == 4
+
+
+def test_a_shape_of_the_base_that_no_unit_explains_is_refused(tmp_path, slider_arm_urdf):
+    text = slider_arm_urdf.read_text()
+    assert 'size="0.2 0.2 0.1"' in text
+    (tmp_path / "arm.urdf").write_text(text.replace('size="0.2 0.2 0.1"', 'size="1e308 1e308 1e308"'))
+    with pytest.raises(InvalidInputError, match=r"collision shape base.* beyond 10000: give metres"):
+        load_robot(tmp_path / "arm.urdf", "tool")
