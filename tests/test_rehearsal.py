@@ -1,0 +1,39 @@
+"""What is paid before the clock starts changes nothing of what is computed after."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab import rehearsal
+from cvqmpt_lab.methods.table import PLANNERS, planner_named
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget
+from experiments.suites.door_task import door_problem
+from experiments.suites.place_task import place_problem
+
+ENOUGH = Budget(iterations=20_000)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_every_planner_can_be_rehearsed_on_problems_it_serves(name):
+    for problem in (place_problem(1003), door_problem(0)):
+        method = planner_named(name)
+        if not method.unfit(problem):
+            rehearsal.rehearse(problem, method, "compiled")
+
+
+def test_a_rehearsal_changes_no_path():
+    problem, method = place_problem(1004), planner_named("opt-cvq-mpt")
+    before = solve(problem, method, ENOUGH, seed=3, clearance=False)
+    rehearsal.rehearse(problem, method, "compiled")
+    after = solve(problem, method, ENOUGH, seed=3, clearance=False)
+    assert after.plan.counters == before.plan.counters
+    np.testing.assert_array_equal(after.simplified.path.states, before.simplified.path.states)
+
+
+def test_compiling_is_announced_once_nothing_is_compiled(problem, monkeypatch):
+    said = []
+    monkeypatch.setattr(rehearsal, "compiled_before", lambda: False)
+    rehearsal.rehearse(problem, planner_named("birrt"), "compiled", said.append)
+    monkeypatch.setattr(rehearsal, "compiled_before", lambda: True)
+    rehearsal.rehearse(problem, planner_named("birrt"), "compiled", said.append)
+    assert said == ["compiling kernels, once per machine and version ..."]
