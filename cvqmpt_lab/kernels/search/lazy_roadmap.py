@@ -121,8 +121,8 @@ def link_query(
     goals = roadmap.goal_edge.shape[1]
     count = roadmap.nodes.shape[0] - 1 - goals
     for i in range(roadmap.nodes.shape[0]):
-        roadmap.to_go[i] = np.inf
-        for g in range(goals):
+        roadmap.to_go[i] = np.inf if i <= count else 0.0
+        for g in range(goals if i <= count else 0):
             roadmap.to_go[i] = min(roadmap.to_go[i], distance(roadmap.nodes[i], roadmap.nodes[count + 1 + g]))
     nearest_nodes(roadmap.nodes, count, roadmap.nodes[count], chosen, squares)
     for slot in range(chosen.shape[0]):
@@ -130,7 +130,7 @@ def link_query(
     for g in range(goals):
         closer = 0
         gap = distance(roadmap.nodes[count], roadmap.nodes[count + 1 + g])
-        for other in range(goals):
+        for other in range(goals if direct > 0 else 0):
             closer += distance(roadmap.nodes[count], roadmap.nodes[count + 1 + other]) < gap
         for i in range(count + 1):
             roadmap.goal_edge[i, g] = BLOCKED
