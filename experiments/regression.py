@@ -20,7 +20,7 @@ from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from experiments.rows import Run, result_row
-from experiments.suites.place_task import place_problem
+from experiments.suites.table import suite_named
 from paper_tables.paper_numbers import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
@@ -36,19 +36,21 @@ WHAT_DECIDES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "
 
 @dataclass(frozen=True, order=True)
 class Case:
-    """One run: planner, environment of the place task, seed, budget in iterations."""
+    """One run: planner, problem, seed, budget in iterations, suite."""
 
     planner: str
     problem: int
     seed: int
     iterations: int
+    suite: str = SUITE
 
     def __str__(self) -> str:
-        return f"{self.planner}, problem {self.problem}, seed {self.seed}, {self.iterations} iterations"
+        problem = f"{self.problem}" if self.suite == SUITE else f"{self.problem} of {self.suite}"
+        return f"{self.planner}, problem {problem}, seed {self.seed}, {self.iterations} iterations"
 
 
-def _cases(planner: str, problems: Iterable[int], iterations: int) -> list[Case]:
-    return [Case(planner, problem, seed, iterations) for problem in problems for seed in (0, 1)]
+def _cases(planner: str, problems: Iterable[int], iterations: int, suite: str = SUITE) -> list[Case]:
+    return [Case(planner, problem, seed, iterations, suite) for problem in problems for seed in (0, 1)]
 
 
 CASES: tuple[Case, ...] = (
@@ -62,6 +64,8 @@ CASES: tuple[Case, ...] = (
     *_cases("cvq-mpt", (2, 5), 20_000),
     *_cases("opt-cvq-mpt", (2, 5), 20_000),
     *_cases("roadmap-cvq", (2, 5, 8), 20_000),
+    *_cases("birrt", (1,), 20_000, "sensor"),  # from rendered images, through filters, in a map
+    *_cases("roadmap-cvq", (1,), 20_000, "sensor"),
 )
 
 
@@ -125,17 +129,21 @@ def made_with() -> dict[str, str | None]:
 
 
 @lru_cache(maxsize=8)
-def _problem(environment: int) -> PlanningProblem:
-    problem = place_problem(environment)
-    assert isinstance(problem, PlanningProblem), f"environment {environment} is unsolvable"
+def _problem(suite: str, index: int) -> PlanningProblem:
+    problem = suite_named(suite).solvable(index)
+    assert isinstance(problem, PlanningProblem), f"{suite} is of tasks"
     return with_sampled_goals(problem)[0]
 
 
 def run_case(case: Case) -> Outcome:
     """Plan, simplify and certify one case."""
-    run = Run(SUITE, case.problem, case.planner, case.seed, Budget(iterations=case.iterations))
+    run = Run(case.suite, case.problem, case.planner, case.seed, Budget(iterations=case.iterations))
     solution = solve(
-        _problem(case.problem), planner_named(case.planner), run.budget, case.seed, clearance=False
+        _problem(case.suite, case.problem),
+        planner_named(case.planner),
+        run.budget,
+        case.seed,
+        clearance=False,
     )
     row = result_row(run, solution, goal_seconds=0.0)
     return Outcome(case, {column: getattr(row, column) for column in COLUMNS})
