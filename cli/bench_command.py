@@ -14,6 +14,7 @@ from experiments.warmup import compile_kernels
 EXAMPLES = (
     "cvqmpt bench kernels",
     "cvqmpt bench collision --states 1000000 --json collision.json",
+    "cvqmpt bench sight --problems 4",
     "cvqmpt bench planners --problems 30",
 )
 
@@ -22,7 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which bench, how much, where to."""
     parser.add_argument("bench", help=", ".join(BENCHES))
     parser.add_argument(
-        "--problems", type=positive_int, default=20, metavar="N", help="tuning problems to plan (20)"
+        "--problems",
+        type=positive_int,
+        default=20,
+        metavar="N",
+        help="tuning problems to plan; sight: scenes (20)",
     )
     parser.add_argument(
         "--states",

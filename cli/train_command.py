@@ -12,10 +12,14 @@ from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.runner import STAGES, Request, run_training
+from experiments.sight_training import train_eyes
 
+SIGHT = "sight"
+"""Trained in seconds, by kernels at hand, unlike the others."""
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train stage2 --profile compact --data data/paths --dictionary runs/dictionary --out runs/model",
+    "cvqmpt train sight --data data/roadmap --out runs/seeing",
     "cvqmpt train mpnet --profile compact --data data/paths --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
     "cvqmpt train stage1 --config mine.json --data data/paths --out runs/mine",
@@ -24,7 +28,10 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
-    parser.add_argument("stage", help=f"what to train: {', '.join(STAGES)}")
+    parser.add_argument(
+        "stage",
+        help=f"what to train: {', '.join(STAGES)}; or {SIGHT}: gives a model eyes, from data with --labels roadmap",
+    )
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
     how.add_argument("--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config")
@@ -34,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="DIR", help="state, curves and model/ go there; continued if it is there"
     )
     parser.add_argument("--dictionary", type=Path, metavar="DIR", help="for stage2: --out of stage1")
+    parser.add_argument("--model", metavar="DIR", help="for sight: whom to give eyes (the shipped VQ-MPT)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
     parser.add_argument("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
@@ -57,6 +65,12 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
+    if args.stage == SIGHT:
+        motions = train_eyes(
+            args.data, args.out, args.model, args.seed, {"provenance": origin}, ProgressBar(SIGHT)
+        )
+        print(f"learned from {motions} motions; model in {args.out / 'model'}")
+        return 0
     request = Request(
         stage=args.stage,
         profile=profile,

@@ -9,8 +9,6 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.learned import dictionary_roadmap
 from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction.weights import resolve_model
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
@@ -71,9 +69,7 @@ class RoadmapRecipe(SceneRecipe):
 
 @lru_cache(maxsize=1)
 def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
-    weights = Weights("vq_mpt", model)
-    digest = weights_digest(resolve_model(model, robot=robot))
-    return roadmap_graph(robot, dictionary_roadmap(weights, robot), digest)
+    return roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt", model), robot))
 
 
 def _row(shards: list[RoadmapShard], name: str, families: list[int]) -> str:

@@ -66,7 +66,7 @@ class _Paths:
         return np.array(rows[-2::-1], np.int64)  # the last one is the start itself
 
 
-def roadmap_graph(robot: Robot, roadmap: Roadmap, digest: str) -> RoadmapGraph:
+def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     """Nodes and undirected edges of a roadmap, and which of them the robot itself allows."""
     count, k = roadmap.neighbours.shape
     pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
@@ -75,7 +75,7 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap, digest: str) -> RoadmapGraph:
     checked = verdicts(space, roadmap.nodes, edges)
     assert checked is not None  # nothing is near
     own_node, own_edge = checked
-    return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge, digest)
+    return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge)
 
 
 def verdicts(

@@ -5,7 +5,7 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, Timings
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
+from cvqmpt_lab.planning.sight import Eyes, Sight, SightNetwork
 from cvqmpt_lab.prediction.collision_head import CollisionHead
 from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
@@ -30,6 +31,7 @@ from cvqmpt_lab.prediction.settings import AS_PUBLISHED, PredictorSettings
 from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.families import family_scene
 
@@ -38,6 +40,7 @@ Build = Callable[[Robot, Weights], Stages]
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 BELIEVED = 0.5  # P(free) below which a node is left out
 GOALS = 3  # nearest goals that the model is asked about; the search gets them all
+POINTS_SEEN = 4096  # of a cloud that distances are measured to
 WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
 
 
@@ -109,6 +112,16 @@ def _observer() -> Observer:
     return Observer()
 
 
+@lru_cache(maxsize=1)
+def _wide_observer() -> Observer:
+    return Observer(CameraSettings.like_training(POINTS_SEEN))
+
+
+@lru_cache(maxsize=8)
+def _eyes(weights: Weights, robot: Robot, attachments: tuple[Attachment, ...]) -> Eyes:
+    return Eyes(SightNetwork.of(_model(weights).parts["sight"]), robot, attachments)
+
+
 @lru_cache(maxsize=16)
 def _predictor(weights: Weights, robot: Robot, settings: PredictorSettings) -> Predictor:
     return Predictor(_model(weights), robot, settings)
@@ -135,7 +148,7 @@ def predicted(name: str, update: int | None = None, wrong: bool = False, **setti
     return _cvq_mpt(
         PredictorSettings(name=name, **settings),
         None if update is None else LatentSettings(steps=update),
-        _wrong_cloud if wrong else None,
+        partial(_wrong_cloud, _observer()) if wrong else None,
     )
 
 
@@ -155,14 +168,33 @@ def _cvq_mpt(
     return build
 
 
-def _wrong_cloud(problem: PlanningProblem) -> np.ndarray:
+def _wrong_cloud(observer: Observer, problem: PlanningProblem) -> np.ndarray:
     """The cloud of another scene."""
-    return _observer()(replace(problem, scene=family_scene(*WRONG_SCENE)))
+    return observer(replace(problem, scene=family_scene(*WRONG_SCENE)))
 
 
-def roadmap_path(robot: Robot, weights: Weights) -> Stages:
-    """The dictionary, projected on the manifold node by node, searched for a path."""
-    return Stages(predict=RoadmapPath(dictionary_roadmap(weights, robot)))
+def roadmap_path(wrong: bool = False) -> Build:
+    """The dictionary, projected on the manifold node by node, searched for a path along edges that look free.
+
+    wrong: shown another scene. Models without eyes go blindly.
+    """
+
+    def build(robot: Robot, weights: Weights) -> Stages:
+        roadmap = dictionary_roadmap(weights, robot)
+        if "sight" not in _model(weights).parts:
+            return Stages(predict=RoadmapPath(roadmap))
+        return Stages(
+            predict=RoadmapPath(roadmap, see=partial(_sight, weights)),
+            observe=partial(_wrong_cloud, _wide_observer()) if wrong else _wide_observer(),
+        )
+
+    return build
+
+
+def _sight(weights: Weights, query: Query, observation: Observation) -> Sight:
+    """What the robot, and what it carries, sees in the cloud."""
+    assert observation.cloud is not None
+    return _eyes(weights, query.space.robot, query.space.problem.attachments).look(observation.cloud)
 
 
 def roadmap_mixture(name: str, check: bool, head: bool = False, update: bool = False) -> Build:

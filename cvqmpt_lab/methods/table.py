@@ -56,7 +56,7 @@ PLANNERS = _by_name(
     _learned("mpnet", lambda learned: learned.mpnet, "mpnet"),
     _cvq("cvq-mpt"),
     _cvq("opt-cvq-mpt", update=5),
-    _learned("roadmap-cvq", lambda learned: learned.roadmap_path),
+    _learned("roadmap-cvq", lambda learned: learned.roadmap_path()),
 )
 
 CONTROLS = _by_name(
@@ -66,6 +66,7 @@ CONTROLS = _by_name(
     _roadmap_mixture("roadmap-blind", check=False),
     _roadmap_mixture("roadmap-head", check=False, head=True),
     _roadmap_mixture("roadmap-update", check=True, update=True),
+    _learned("roadmap-wrong-cloud", lambda learned: learned.roadmap_path(wrong=True)),
     _learned("true-codes", lambda learned: learned.true_codes("true-codes")),
     _cvq("cvq-wrong-cloud", wrong=True),
     _cvq("cvq-union", decoding="sampled"),

@@ -124,7 +124,8 @@ def as_modules(model: StoredModel) -> Checkpoint:
         "sequence_model": lambda: build_sequence_model(config),
     }
     modules: dict[str, Any] = {
-        name: filled(builders[name], {key: torch.from_numpy(a) for key, a in arrays.items()}, name)
-        for name, arrays in model.parts.items()
+        name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)
+        for name, build in builders.items()
+        if name in model.parts
     }
     return Checkpoint(config, model.robot, metadata=model.metadata, **modules)

@@ -8,6 +8,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search import lazy_roadmap as kernels
 from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.result import JointPath
+from cvqmpt_lab.planning.sight import Sight, blind
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
 LONGEST_PATH = 256  # nodes
@@ -56,6 +57,8 @@ class RoadmapSettings:
     """Searches at most; each ends at a path, or at the first edge that turns out blocked."""
     step: float = 0.2
     """Longest motion between the states of an edge [rad]; a found path is mended to the space's own."""
+    caution: float = 2.0
+    """What -log P(free) of an edge adds to its length, where a cloud is seen [rad]."""
     detour: float = 1.5
     """How much longer the nodes of a found path count when the next path is searched."""
 
@@ -71,28 +74,40 @@ class RoadmapQuery:
         goals: np.ndarray,
         settings: RoadmapSettings,
         blocked: np.ndarray | None = None,
+        sight: Sight | None = None,
     ) -> None:
-        """Link start (n,) and goals (k, n) to the roadmap; blocked (N,) bool: nodes to leave out."""
-        count = len(roadmap.nodes)
-        links = min(settings.links, count)
-        total = count + 1 + len(goals)
-        neighbours = np.full((count + 1, max(links, roadmap.neighbours.shape[1])), -1, dtype=np.int32)
-        neighbours[:count, : roadmap.neighbours.shape[1]] = roadmap.neighbours
-        verdict = np.full(total, kernels.UNKNOWN, dtype=np.int8)
-        verdict[count:] = kernels.FREE
-        if blocked is not None:
-            verdict[:count][blocked] = kernels.BLOCKED
-        factor = np.ones(total)
-        if settings.penalty > 0 and space.dim > 0:
-            violation = np.linalg.norm(space.problem.manifold.residual(roadmap.nodes), axis=1)
-            factor[:count] += settings.penalty * violation
+        """Link start (n,) and goals (k, n) to the roadmap.
+
+        blocked: (N,) bool, nodes to leave out. sight: what the robot sees, None to believe every edge alike.
+        """
         self._settings, self._space, self._arrays = settings, space, space.arrays._replace(step=settings.step)
+        self._sight, self._caution = (blind(len(start)), 0.0) if sight is None else (sight, settings.caution)
+        self._ends, self.searches = (start, goals), 0
+        verdict = np.full(len(roadmap.nodes), kernels.UNKNOWN, dtype=np.int8)
+        if blocked is not None:
+            verdict[blocked] = kernels.BLOCKED
+        self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
+
+    def _set_up(self, nodes: np.ndarray, table: np.ndarray, verdict: np.ndarray) -> None:
+        """Link start and goals to nodes (N, n) that lead to those in table (N, k); verdict (N,): is known of them."""
+        settings, (start, goals) = self._settings, self._ends
+        count, total = len(nodes), len(nodes) + 1 + len(goals)
+        links = min(settings.links, count)
+        neighbours = np.full((count + 1, max(links, table.shape[1])), -1, dtype=np.int32)
+        neighbours[:count, : table.shape[1]] = table
+        factor = np.ones(total)
+        if settings.penalty > 0 and self._space.dim > 0:
+            violation = np.linalg.norm(self._space.problem.manifold.residual(nodes), axis=1)
+            factor[:count] += settings.penalty * violation
         self._graph = kernels.Roadmap(
-            nodes=np.concatenate([roadmap.nodes, start[None], goals]),
+            nodes=np.concatenate([nodes, start[None], goals]),
             neighbours=neighbours,
             edge=np.zeros(neighbours.shape, dtype=np.int8),
             goal_edge=np.zeros((count + 1, len(goals)), dtype=np.int8),
-            node=verdict,
+            node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
+            caution=self._caution,
+            price=np.empty((count + 1, neighbours.shape[1] + len(goals))),
+            judged=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
             factor=factor,
             to_go=np.empty(total),
             cost=np.empty(total),
@@ -102,8 +117,26 @@ class RoadmapQuery:
             heap=np.empty(QUEUE * total),
             heap_node=np.empty(QUEUE * total, dtype=np.int32),
         )
-        self._count, self._left, self.searches = count, settings.searches, 0
+        self._count, self._left = count, settings.searches
         kernels.link_query(self._graph, settings.direct, np.empty(links, dtype=np.int32), np.empty(links))
+
+    def add_nodes(self, added: np.ndarray) -> None:
+        """Link more nodes (a, n) to the roadmap, to each other and to start and goals; what was found out is kept."""
+        before, count, half = self._graph, self._count, self._settings.links // 2
+        nodes = np.concatenate([before.nodes[:count], added])
+        table = np.full((len(nodes), before.neighbours.shape[1]), -1, dtype=np.int32)
+        table[:count] = before.neighbours[:count]
+        for row in range(count, len(nodes)):
+            squares = ((nodes - nodes[row]) ** 2).sum(axis=1)
+            squares[row] = np.inf
+            known, new = np.argsort(squares[:count])[:half], count + np.argsort(squares[count:-1])[:half]
+            table[row, : len(known) + len(new)] = near = np.concatenate([known, new])
+            back = near[table[near, -1] < 0]  # those that have room for one more
+            table[back, np.argmax(table[back] < 0, axis=1)] = row
+        verdict = np.concatenate([before.node[:count], np.full(len(added), kernels.UNKNOWN, dtype=np.int8)])
+        self._set_up(nodes, table, verdict)
+        self._graph.edge[:count] = before.edge[:count]
+        self._graph.factor[:count] = before.factor[:count]
 
     def next_path(self, allowance: Allowance, check: bool = True) -> tuple[JointPath | None, np.ndarray]:
         """The shortest path left, on the manifold and free, and the rows of its nodes; None when there is none.
@@ -115,7 +148,7 @@ class RoadmapQuery:
         while self._left > 0 and allowance.spent() is None:
             most = min(self._left, SEARCHES_AT_ONCE, allowance.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search(
-                self._arrays, self._graph, most, self._settings.drift, check, path, ends, states
+                self._arrays, self._graph, self._sight, most, self._settings.drift, check, path, ends, states
             )
             self._space.reraise()
             self._left -= searched

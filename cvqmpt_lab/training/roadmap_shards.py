@@ -3,7 +3,7 @@
 As ``cvqmpt data generate --labels roadmap`` writes it, beside dataset.json and shards.csv (see `shards`)::
 
     roadmap.npz      nodes (N,n) float64 [rad], edges (E,2) int32, node_possible (N,) and edge_possible (E,) bool: free
-                     in an empty scene; digest of the dictionary's weights
+                     in an empty scene
     shards/NNNNNN.npz
         family, scene_seed, shape_start, shape_kind, shape_size, shape_pose: as in `shards`
         node_free (s,N/8) and edge_free (s,E/8) uint8: packed bits
@@ -13,6 +13,7 @@ As ``cvqmpt data generate --labels roadmap`` writes it, beside dataset.json and 
         differs (p,) bool: the codes are others than those of the shortest path in an empty scene
 """
 
+import hashlib
 import io
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,14 +40,16 @@ class RoadmapGraph:
     """(N,) bool: free in an empty scene."""
     edge_possible: np.ndarray
     """(E,) bool: likewise."""
-    digest: str
-    """Of the weights that the nodes were drawn from."""
+
+    @property
+    def digest(self) -> str:
+        """Which nodes these are: sha256 of them."""
+        return hashlib.sha256(self.nodes.tobytes()).hexdigest()
 
     def write(self, folder: Path) -> None:
         """Put it into a dataset's folder."""
         file = io.BytesIO()
-        arrays = {name: np.asarray(value) for name, value in vars(self).items()}
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
+        np.savez_compressed(file, **vars(self))
         write_bytes(folder / ROADMAP_FILE, file.getvalue())
 
     @classmethod
@@ -54,10 +57,7 @@ class RoadmapGraph:
         """What `write` wrote; InvalidInputError where it is missing or damaged."""
         arrays = _arrays(folder / ROADMAP_FILE)
         try:
-            return cls(
-                **{name: arrays[name] for name in cls.__annotations__ if name != "digest"},
-                digest=str(arrays["digest"]),
-            )
+            return cls(**{name: arrays[name] for name in cls.__annotations__})
         except KeyError as error:
             raise InvalidInputError(
                 f"{folder / ROADMAP_FILE}: array {error} is missing; generate it again"

@@ -23,6 +23,7 @@ from cvqmpt_lab.scene.random_scenes import random_scene
 from experiments.bench.collision import STATES, bench_collision
 from experiments.bench.networks import bench_networks
 from experiments.bench.scanning import bench_scan
+from experiments.bench.seeing import bench_sight
 from experiments.bench.stages import bench_growth, bench_stages
 from experiments.bench.throughput import bench_throughput
 from experiments.bench.timing import Figure, calibration, single, spread, timed
@@ -183,6 +184,7 @@ BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
     "networks": lambda problems, states: bench_networks(_tuning_problems(problems)),
     "throughput": lambda problems, states: bench_throughput(problems),
     "growth": lambda problems, states: bench_growth(_tuning_problems(1)[0]),
+    "sight": lambda problems, states: bench_sight(problems),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
     "scan": lambda problems, states: bench_scan(),
 }

@@ -83,7 +83,7 @@ def test_interrupted_generation_ends_in_the_same_bytes(tiny):
 
 def test_labels_of_another_dictionary_are_not_continued(tiny, tmp_path):
     graph = RoadmapGraph.read(tiny)
-    other = RoadmapGraph(graph.nodes, graph.edges, graph.node_possible, graph.edge_possible, "another")
+    other = RoadmapGraph(graph.nodes + 0.1, graph.edges, graph.node_possible, graph.edge_possible)
     other.write(tmp_path)
     with pytest.raises(InvalidInputError, match="another dictionary"):
         make(tmp_path)

@@ -57,6 +57,17 @@ def test_learned_planners_pay_for_their_networks(problem):
     assert result.seconds >= result.timings.total
 
 
+def test_the_roadmap_needs_its_own_cloud():
+    """With another scene's it works harder, over a few problems together."""
+    ratios = []
+    for environment in (1003, 1007, 1017, 1020, 1030):
+        problem = with_sampled_goals(place_problem(environment))[0]
+        own, wrong = (plan(problem, name).counters for name in ("roadmap-cvq", "roadmap-wrong-cloud"))
+        work = [counters.projections + counters.state_checks for counters in (own, wrong)]
+        ratios.append(np.log(work[1] / work[0]))
+    assert np.exp(np.mean(ratios)) > 1.3
+
+
 def test_the_head_sees_the_scene(problem, roadmap):
     """Its verdict agrees with exact checks more often than not, and another cloud changes it."""
     space, nodes = ConstrainedSpace(problem), roadmap.nodes

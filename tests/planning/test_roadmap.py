@@ -8,6 +8,7 @@ from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search.lazy_roadmap import nearest_nodes
 from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.result import Budget, PlanStatus
@@ -17,7 +18,9 @@ from cvqmpt_lab.planning.roadmap import (
     RoadmapSettings,
 )
 from cvqmpt_lab.planning.roadmap_proposals import RoadmapMixture, RoadmapPath
+from cvqmpt_lab.planning.sight import Eyes, SightNetwork
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.scene.cameras import CameraSettings
 from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)
@@ -101,10 +104,67 @@ def test_blind_search_checks_nothing(problem, roadmap):
 
 
 def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap):
-    result = plan(problem, RoadmapPath(roadmap, settings=RoadmapSettings(searches=1, links=1)))
+    result = plan(problem, RoadmapPath(roadmap, settings=RoadmapSettings(searches=1, links=1), draws=0))
     assert result.path is not None and certify(problem, result.path).valid
     assert result.fallback.startswith("birrt around ")
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
+
+
+@pytest.fixture(scope="module")
+def eyes(problem):
+    """Eyes that take a motion for likely free when all links keep 5 cm, for unlikely when one touches."""
+    n = problem.robot.dof
+    first = np.zeros((n, n + 1))
+    first[:, :n] = -np.eye(n)
+    slope = np.full((1, n), 3.0)
+    network = SightNetwork(first, np.full(n, 0.3), slope, np.zeros(1), np.array([-5.0]), 3.0)
+    return Eyes(network, problem.robot)
+
+
+@pytest.fixture(scope="module")
+def cloud(problem):
+    return Observer(CameraSettings.like_training(2048))(problem)
+
+
+def test_edges_cost_what_the_eyes_doubt(problem, roadmap, eyes, cloud):
+    space = ConstrainedSpace(problem)
+    query = RoadmapQuery(
+        space, roadmap, problem.start, problem.goals, RoadmapSettings(), sight=eyes.look(cloud)
+    )
+    query.next_path(Allowance(ENOUGH, space), check=False)
+    graph, k = query._graph, roadmap.neighbours.shape[1]
+    rows, slots = np.nonzero(graph.judged[: len(roadmap.nodes), :k])
+    assert len(rows) > 50
+    motions = np.stack([graph.nodes[rows], graph.nodes[roadmap.neighbours[rows, slots]]], axis=1)
+    _, odds = eyes.judge(cloud, motions)
+    np.testing.assert_allclose(graph.price[rows, slots], np.log1p(np.exp(-odds)), rtol=1e-6)
+    assert np.ptp(graph.price[rows, slots]) > 1.0
+
+
+def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):
+    _, query, allowance = query_of(problem, roadmap)
+    query.next_path(allowance)
+    before, count = query._graph, len(roadmap.nodes)
+    added = problem.robot.random_configurations(np.random.default_rng(1), 40)
+    query.add_nodes(added)
+    after = query._graph
+    np.testing.assert_array_equal(after.nodes[:count], before.nodes[:count])
+    np.testing.assert_array_equal(after.nodes[count : count + 40], added)
+    np.testing.assert_array_equal(after.node[:count], before.node[:count])
+    np.testing.assert_array_equal(after.edge[:count], before.edge[:count])
+    links = after.neighbours[count : count + 40]
+    assert (links >= 0).all() and (links != np.arange(count, count + 40)[:, None]).all()
+    assert ((links < count).sum(axis=1) == 10).all()
+    known = links[0][links[0] < count]
+    assert any(count in after.neighbours[node] for node in known)
+
+
+def test_more_nodes_free_a_start_that_no_code_is_near(problem, roadmap):
+    far = np.argsort(np.linalg.norm(roadmap.nodes - problem.start, axis=1))[-300:]
+    sparse = Roadmap.of(roadmap.nodes[far], roadmap.covariances[far])
+    assert plan(problem, RoadmapPath(sparse, draws=0)).fallback
+    helped = plan(problem, RoadmapPath(sparse, draws=3))
+    assert not helped.fallback and certify(problem, helped.path).valid
 
 
 @pytest.mark.parametrize("check", [True, False])

@@ -2,7 +2,8 @@
 
 A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node and edge that
 has not been found blocked. The nodes of the path it returns are projected and checked, then its edges, coarsely;
-what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it.
+what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it. Where a cloud
+is seen, an edge not yet checked costs more the less likely it is to be free.
 """
 
 from typing import Annotated, NamedTuple
@@ -11,7 +12,9 @@ import numpy as np
 
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.kernels.search.heap import drop_smallest, push
 from cvqmpt_lab.kernels.search.motion import bisect_motion, distance
+from cvqmpt_lab.kernels.search.sight import Sight, surprise
 from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
 
 UNKNOWN, FREE, BLOCKED = range(3)
@@ -32,6 +35,12 @@ class Roadmap(NamedTuple):
     """Verdicts on the edges from each row to each goal; BLOCKED where there is none."""
     node: Annotated[np.ndarray, "int8 rows"]
     """Verdicts."""
+    caution: float
+    """What -log P(free) of an edge costs [rad]; 0 to look at nothing."""
+    price: Annotated[np.ndarray, "inner exits"]
+    """-log P(free) of each edge, and of those to each goal, where they were judged."""
+    judged: Annotated[np.ndarray, "int8 inner exits"]
+    """One more than how many of an edge's ends were on the manifold when it was judged; 0: not judged."""
     factor: Annotated[np.ndarray, "rows"]
     """>= 1, how much longer edges at a node count."""
     to_go: Annotated[np.ndarray, "rows"]
@@ -48,34 +57,6 @@ class Roadmap(NamedTuple):
     """Costs in the queue."""
     heap_node: Annotated[np.ndarray, "int32 queue"]
     """Their rows."""
-
-
-@kernel(inline="machine")
-def _push(keys, values, size, key, value):
-    """Put (key, value) into the binary heap of size entries."""
-    i = size
-    while i > 0 and keys[(i - 1) // 2] > key:
-        up = (i - 1) // 2
-        keys[i], values[i] = keys[up], values[up]
-        i = up
-    keys[i], values[i] = key, value
-
-
-@kernel(inline="machine")
-def _drop_smallest(keys, values, size):
-    """Take the first of size entries out of the binary heap."""
-    last = size - 1
-    key, value = keys[last], values[last]
-    i = 0
-    while 2 * i + 1 < last:
-        child = 2 * i + 1
-        if child + 1 < last and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[i], values[i] = keys[child], values[child]
-        i = child
-    keys[i], values[i] = key, value
 
 
 @entry
@@ -141,20 +122,32 @@ def link_query(
             roadmap.goal_edge[chosen[slot], g] = UNKNOWN
 
 
+@kernel(inline="source")
+def _price(kinematics, roadmap, sight, here, slot, there, verdict):
+    """What the doubt about an edge costs [rad]; judged anew once an end has been put on the manifold."""
+    if roadmap.caution == 0.0 or verdict == FREE:
+        return 0.0
+    state = 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
+    if roadmap.judged[here, slot] != state:
+        roadmap.judged[here, slot] = state
+        roadmap.price[here, slot] = surprise(kinematics, sight, roadmap.nodes[here], roadmap.nodes[there])
+    return roadmap.caution * roadmap.price[here, slot]
+
+
 @kernel
-def _astar(roadmap):
-    """Row of the goal that the shortest believed path leads to, or -1; parent and slot hold the path."""
+def _astar(kinematics, roadmap, sight):
+    """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the path."""
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
     start = roadmap.nodes.shape[0] - 1 - goals
     for i in range(roadmap.nodes.shape[0]):
         roadmap.cost[i], roadmap.parent[i], roadmap.closed[i] = np.inf, -1, 0
     roadmap.cost[start] = 0.0
     heap, heap_node = roadmap.heap, roadmap.heap_node
-    _push(heap, heap_node, 0, roadmap.to_go[start], start)
+    push(heap, heap_node, 0, roadmap.to_go[start], start)
     size = 1
     while size > 0:
         here = np.int64(heap_node[0])
-        _drop_smallest(heap, heap_node, size)
+        drop_smallest(heap, heap_node, size)
         size -= 1
         if roadmap.closed[here]:
             continue
@@ -168,9 +161,12 @@ def _astar(roadmap):
                 continue
             weight = 0.5 * (roadmap.factor[here] + roadmap.factor[there])
             cost = roadmap.cost[here] + weight * distance(roadmap.nodes[here], roadmap.nodes[there])
+            if cost >= roadmap.cost[there]:
+                continue
+            cost += _price(kinematics, roadmap, sight, here, slot, there, verdict)
             if cost < roadmap.cost[there] and size < heap.shape[0]:
                 roadmap.cost[there], roadmap.parent[there], roadmap.slot[there] = cost, here, slot
-                _push(heap, heap_node, size, cost + roadmap.to_go[there], there)
+                push(heap, heap_node, size, cost + roadmap.to_go[there], there)
                 size += 1
     return -1
 
@@ -187,16 +183,16 @@ def _node_free(space, roadmap, i, drift):
 
 
 @kernel(inline="source")
-def _block_edge(roadmap, a, b):
-    """Block the edge on which the last search came from row a to row b, and the same edge backwards."""
+def _settle_edge(roadmap, a, b, verdict):
+    """Keep the verdict on the edge on which the last search came from row a to row b, and on the same backwards."""
     slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
     if slot >= k:
-        roadmap.goal_edge[a, slot - k] = BLOCKED
+        roadmap.goal_edge[a, slot - k] = verdict
         return
-    roadmap.edge[a, slot] = BLOCKED
+    roadmap.edge[a, slot] = verdict
     for other in range(k):
         if roadmap.neighbours[b, other] == a:
-            roadmap.edge[b, other] = BLOCKED
+            roadmap.edge[b, other] = verdict
 
 
 @kernel(inline="source")
@@ -214,8 +210,9 @@ def _join_nodes(space, roadmap, check, path, length, ends, states):
             for j in range(n):
                 states[size, j] = roadmap.nodes[b, j]
         if added == 0:
-            _block_edge(roadmap, a, b)
+            _settle_edge(roadmap, a, b, BLOCKED)
             return NO_PATH
+        _settle_edge(roadmap, a, b, FREE)
         size += added
         ends[i] = size
     return size
@@ -226,6 +223,7 @@ def _join_nodes(space, roadmap, check, path, length, ends, states):
 def search(
     space: Space,
     roadmap: Roadmap,
+    sight: Sight,
     most_searches,
     drift,
     check,
@@ -249,7 +247,7 @@ def search(
     """
     length = 0
     for searched in range(most_searches):
-        row, length = _astar(roadmap), 0
+        row, length = _astar(space.kinematics, roadmap, sight), 0
         while row >= 0 and length < path.shape[0]:
             path[length] = row
             length += 1
@@ -284,5 +282,5 @@ def block_state(
     """
     for i in range(length - 2, -1, -1):
         if state + 1 < ends[i]:
-            _block_edge(roadmap, path[i + 1], path[i])
+            _settle_edge(roadmap, path[i + 1], path[i], BLOCKED)
             return

@@ -1,0 +1,31 @@
+"""A binary heap of keys with values, in arrays of the caller's."""
+
+from cvqmpt_lab.kernels.compiling import kernel
+
+
+@kernel(inline="machine")
+def push(keys, values, size, key, value):
+    """Put (key, value) into the binary heap of size entries."""
+    i = size
+    while i > 0 and keys[(i - 1) // 2] > key:
+        up = (i - 1) // 2
+        keys[i], values[i] = keys[up], values[up]
+        i = up
+    keys[i], values[i] = key, value
+
+
+@kernel(inline="machine")
+def drop_smallest(keys, values, size):
+    """Take the first of size entries out of the binary heap."""
+    last = size - 1
+    key, value = keys[last], values[last]
+    i = 0
+    while 2 * i + 1 < last:
+        child = 2 * i + 1
+        if child + 1 < last and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[i], values[i] = keys[child], values[child]
+        i = child
+    keys[i], values[i] = key, value

@@ -1,0 +1,173 @@
+"""What a point cloud says about motions: how near the robot's balls come to it, and a small network's odds that
+the motion is free. Nothing here checks anything; a motion's odds cost some microseconds whatever the scene.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
+
+NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
+REACH = 0.25  # [m] distances to the cloud are cut off here: more than the largest ball and FARTHEST
+STEPS = 255.0  # of a stored byte
+
+
+class Sight(NamedTuple):
+    """Distances to a cloud on a grid, a robot's balls, and the network that reads their clearances."""
+
+    origin: Annotated[np.ndarray, "3"]
+    """Corner of the grid [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
+    """From the middle of each cell to the nearest point of the cloud, in REACH / 255."""
+    ball: Annotated[np.ndarray, "balls 4"]
+    """Centre in its link's frame, and radius [m]."""
+    row: Annotated[np.ndarray, "int64 balls"]
+    """Pose row of each ball's link."""
+    spacing: float
+    """At most, between the states of a motion that are looked at [rad]."""
+    first: Annotated[np.ndarray, "hidden inputs"]
+    """Weights: smallest clearance of every joint's balls, then the motion's length."""
+    first_bias: Annotated[np.ndarray, "hidden"]
+    """Of the first layer."""
+    second: Annotated[np.ndarray, "more hidden"]
+    """Weights."""
+    second_bias: Annotated[np.ndarray, "more"]
+    """Of the second layer."""
+    last: Annotated[np.ndarray, "more"]
+    """Weights of the log odds."""
+    last_bias: float
+    """Of the log odds."""
+    features: Annotated[np.ndarray, "inputs"]
+    """Work array."""
+    hidden: Annotated[np.ndarray, "hidden"]
+    """Work array."""
+    state: Annotated[np.ndarray, "n"]
+    """Work array."""
+    rotation: Annotated[np.ndarray, "rows 3 3"]
+    """Work array."""
+    translation: Annotated[np.ndarray, "rows 3"]
+    """Work array."""
+
+
+@entry
+@kernel(allocates=True)
+def fill_distances(
+    points: Annotated[np.ndarray, "count 3"],
+    origin: Annotated[np.ndarray, "3"],
+    cell,
+    square: Annotated[np.ndarray, "x y z"],
+    distance: Annotated[np.ndarray, "uint8 x y z"],
+):
+    """Write the distance of every cell's middle from the nearest of points, cut off at REACH.
+
+    square: squared distances, a work array.
+    """
+    square[:] = REACH * REACH
+    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for i in range(points.shape[0]):
+        for a in range(3):
+            at = (points[i, a] - origin[a]) / cell - 0.5
+            low[a] = max(int(np.ceil(at - REACH / cell)), 0)
+            high[a] = min(int(np.floor(at + REACH / cell)) + 1, square.shape[a])
+        for x in range(low[0], high[0]):
+            dx = origin[0] + (x + 0.5) * cell - points[i, 0]
+            for y in range(low[1], high[1]):
+                dy = origin[1] + (y + 0.5) * cell - points[i, 1]
+                if dx * dx + dy * dy > REACH * REACH:
+                    continue
+                dz = origin[2] + (low[2] + 0.5) * cell - points[i, 2]
+                for z in range(low[2], high[2]):
+                    square[x, y, z] = min(square[x, y, z], dx * dx + dy * dy + dz * dz)
+                    dz += cell
+    for x in range(square.shape[0]):
+        for y in range(square.shape[1]):
+            for z in range(square.shape[2]):
+                distance[x, y, z] = np.uint8(np.sqrt(square[x, y, z]) * (STEPS / REACH) + 0.5)
+
+
+@kernel(inline="source")
+def _look(kinematics, sight, q):
+    """Lower the smallest clearances seen so far to those of configuration q (n,)."""
+    r, t, shape = sight.rotation, sight.translation, sight.distance.shape
+    forward_kinematics(kinematics, q, r, t)
+    for k in range(sight.ball.shape[0]):
+        link = sight.row[k]
+        x, y, z, radius = sight.ball[k, 0], sight.ball[k, 1], sight.ball[k, 2], sight.ball[k, 3]
+        wx = r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0] - sight.origin[0]
+        wy = r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1] - sight.origin[1]
+        wz = r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2] - sight.origin[2]
+        i, j, m = (
+            int(np.floor(wx / sight.cell)),
+            int(np.floor(wy / sight.cell)),
+            int(np.floor(wz / sight.cell)),
+        )
+        if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= m < shape[2]:
+            clearance = sight.distance[i, j, m] * (REACH / STEPS) - radius
+            sight.features[link - 1] = min(sight.features[link - 1], clearance)
+
+
+@kernel
+def look_along(kinematics, sight, a, b):
+    """Put the network's inputs for the straight motion from a to b (n,) into sight.features."""
+    n = a.shape[0]
+    length = 0.0
+    for j in range(n):
+        length += (b[j] - a[j]) * (b[j] - a[j])
+        sight.features[j] = FARTHEST
+    length = np.sqrt(length)
+    pieces = int(np.ceil(length / sight.spacing))
+    for k in range(pieces + 1):
+        share = k / max(pieces, 1)
+        for j in range(n):
+            sight.state[j] = a[j] + share * (b[j] - a[j])
+        _look(kinematics, sight, sight.state)
+    for j in range(n):
+        sight.features[j] = max(sight.features[j], NEAREST) / FARTHEST
+    sight.features[n] = length
+
+
+@kernel
+def log_odds(sight):
+    """Log odds that the motion looked at last is free."""
+    for h in range(sight.first.shape[0]):
+        value = sight.first_bias[h]
+        for i in range(sight.first.shape[1]):
+            value += sight.first[h, i] * sight.features[i]
+        sight.hidden[h] = max(value, 0.0)
+    answer = sight.last_bias
+    for h in range(sight.second.shape[0]):
+        value = sight.second_bias[h]
+        for i in range(sight.second.shape[1]):
+            value += sight.second[h, i] * sight.hidden[i]
+        answer += sight.last[h] * max(value, 0.0)
+    return answer
+
+
+@kernel
+def surprise(kinematics, sight, a, b):
+    """-log P(free) of the straight motion from a to b (n,)."""
+    look_along(kinematics, sight, a, b)
+    odds = log_odds(sight)
+    return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))
+
+
+@entry
+@kernel
+def judge_motions(
+    kinematics: Kinematics,
+    sight: Sight,
+    motions: Annotated[np.ndarray, "count 2 n"],
+    features: Annotated[np.ndarray, "count inputs"],
+    odds: Annotated[np.ndarray, "count"],
+):
+    """Write the network's inputs and log odds of straight motions; a configuration is one of no length."""
+    for i in range(motions.shape[0]):
+        look_along(kinematics, sight, motions[i, 0], motions[i, 1])
+        for j in range(features.shape[1]):
+            features[i, j] = sight.features[j]
+        odds[i] = log_odds(sight)

@@ -1,0 +1,80 @@
+"""From labels to eyes that tell free from blocked, on a few scenes."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.learned import roadmap_path
+from cvqmpt_lab.methods.method import Weights
+from cvqmpt_lab.models.stored import VQ_MPT, read_model
+from cvqmpt_lab.models.weights_folder import write_weights
+from cvqmpt_lab.planning.sight import Eyes, SightNetwork
+from cvqmpt_lab.prediction.weights import load_vq_mpt
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
+from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
+from experiments.bench.seeing import area, calibration_error
+from experiments.labelled_scenes import unconstrained_space
+from experiments.roadmap_data import RoadmapRecipe
+from experiments.roadmap_labels import verdicts
+from experiments.sight_examples import examples_of
+from experiments.sight_training import train_eyes
+from experiments.training_data import generate
+
+
+def test_the_area_counts_pairs_in_order():
+    rng = np.random.default_rng(0)
+    score, free = rng.integers(0, 8, 300).astype(float), rng.random(300) < 0.4
+    above = score[free][:, None] - score[~free]
+    assert area(score, free) == pytest.approx(((above > 0) + 0.5 * (above == 0)).mean())
+
+
+def test_calibration_compares_said_with_seen():
+    odds = np.repeat(np.log([0.25 / 0.75, 0.85 / 0.15]), 100)
+    free = np.concatenate([np.arange(100) < 25, np.arange(100) < 65])
+    assert calibration_error(odds, free) == pytest.approx(0.5 * 0.2)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    out = tmp_path_factory.mktemp("labels")
+    generate(RoadmapRecipe(16, 2, ("table", "shelves")), out, 1, ["test"], lambda done, total: None)
+    return out
+
+
+def test_eyes_trained_on_a_few_scenes_know_free_from_blocked_in_another(data, tmp_path):
+    robot = panda()
+    assert train_eyes(data, tmp_path, None, 0, {}, lambda done, total: None) == 14 * (256 + 512)
+    model = read_model(tmp_path / "model", architecture=VQ_MPT)
+    shipped = load_vq_mpt(robot)
+    np.testing.assert_array_equal(
+        model.parts["dictionary"]["quantizer.embedding.weight"],
+        shipped.parts["dictionary"]["quantizer.embedding.weight"],
+    )
+    eyes, graph = Eyes(SightNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
+    scene = family_scene("shelves", 7)
+    checked = verdicts(unconstrained_space(robot, scene), graph.nodes, graph.edges, graph.edge_possible)
+    cloud = camera_cloud(scene, CameraSettings.like_training(4096), np.random.default_rng(0))
+    seen = examples_of(eyes, cloud, graph, *checked)
+    assert area(seen.odds[seen.edge], seen.free[seen.edge]) > 0.97
+    nowhere = examples_of(eyes, cloud + 5.0, graph, *checked)
+    assert area(nowhere.odds[seen.edge], seen.free[seen.edge]) < 0.8
+
+
+def test_a_model_without_eyes_goes_blindly(tmp_path):
+    model = load_vq_mpt(panda())
+    parts = {"dictionary": model.parts["dictionary"]}
+    write_weights(
+        tmp_path / "m", VQ_MPT, to_plain(model.config, complete=True), model.robot, model.metadata, parts
+    )
+    assert roadmap_path()(panda(), Weights("vq_mpt", str(tmp_path / "m"))).observe is None
+    assert roadmap_path()(panda(), Weights("vq_mpt")).observe is not None
+
+
+def test_data_without_a_scene_to_train_on_is_refused(tmp_path):
+    out = tmp_path / "one"  # its only scene validates
+    generate(RoadmapRecipe(1, 2, ("table",)), out, 1, ["test"], lambda done, total: None)
+    with pytest.raises(InvalidInputError, match="no scene to train on"):
+        train_eyes(out, tmp_path, None, 0, {}, lambda done, total: None)
