@@ -12,7 +12,6 @@ from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.runner import STAGES, Request, run_training
-from experiments.sight_training import train_eyes
 
 SIGHT = "sight"
 """Trained in seconds, by kernels at hand, unlike the others."""
@@ -66,6 +65,8 @@ def run(args: argparse.Namespace) -> int:
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
     if args.stage == SIGHT:
+        from experiments.sight_training import train_eyes  # kernels, which a bare machine has not
+
         motions = train_eyes(
             args.data, args.out, args.model, args.seed, {"provenance": origin}, ProgressBar(SIGHT)
         )
