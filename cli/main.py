@@ -18,6 +18,7 @@ COMMANDS = {
     "problems": "list or export the problems of a suite, or write one to start from",
     "scan": "make a clean cloud or a scene of depth images or clouds",
     "ik": "find configurations for a pose or region, for a problem file",
+    "calibrate": "find where a depth camera stands, from the arm that it sees",
     "robot": "show what is understood of a robot's description, or list the arms that have a name",
     "trust": "put what is promised to the test: repeats, faults, hostile files, edges",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",

@@ -20,6 +20,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.random_scenes import random_scene
+from experiments.bench.calibration import bench_calibration
 from experiments.bench.collision import STATES, bench_collision
 from experiments.bench.networks import bench_networks
 from experiments.bench.scanning import bench_scan
@@ -185,6 +186,7 @@ BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
     "throughput": lambda problems, states: bench_throughput(problems),
     "growth": lambda problems, states: bench_growth(_tuning_problems(1)[0]),
     "sight": lambda problems, states: bench_sight(problems),
+    "calibration": lambda problems, states: bench_calibration(panda(), problems),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
     "scan": lambda problems, states: bench_scan(),
 }

@@ -1,0 +1,122 @@
+"""Laying measured points onto a surface: point to plane, with weights that forget what is no part of it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.codec.forms import FloatArray
+from cvqmpt_lab.sensing.arm_surface import Surface
+
+REACHES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006)
+"""[m] points farther from the surface are forgotten, in turn."""
+STEPS = 5
+"""Gauss-Newton steps with each."""
+INLIERS = 0.02
+"""[m] points no farther from the surface in the end lie on it."""
+MOST_POINTS = 100_000
+"""Looked at; of those near the surface a tenth is laid."""
+OFFSET, NOISE = 0.004, 0.003
+"""[m] standard deviations of a camera's systematic error of depth, and of what points otherwise are off, ..."""
+INDEPENDENT = 1000
+"""... as many of them as if they were all that there are."""
+STIFF = 1e-6
+"""Keeps equations solvable."""
+
+
+class Laid(NamedTuple):
+    """A camera's pose at which its points lie on the surface."""
+
+    T_world_camera: FloatArray
+    """(4, 4) [m]."""
+    residual: float
+    """Root mean square distance of the points on the surface from it [m]; inf without any."""
+    doubt: float
+    """Standard deviation of the camera's position [m], by leaving out one link after the other."""
+
+
+class _Planes(NamedTuple):
+    """Points that are near the surface, and the planes that it has there."""
+
+    distance: FloatArray
+    """(k,), of each point from its plane [m]."""
+    rows: FloatArray
+    """(k, 7), its change when points turn about their middle [rad], shift [m], and move away from the camera [m]."""
+    middle: FloatArray
+    """(3,) [m]."""
+    link: np.ndarray
+    """(k,) int, of the surface under each."""
+
+
+def laid(points: FloatArray, surface: Surface, T_start: FloatArray, rng: np.random.Generator) -> Laid:
+    """Lay points (m, 3) [m, camera frame] onto the surface [world], from a pose (4, 4) that is nearly right."""
+    tree, T, offset = cKDTree(surface.points), T_start, 0.0
+    some = points[rng.permutation(len(points))[:MOST_POINTS]]
+    placed = some @ T[:3, :3].T + T[:3, 3]
+    close = np.isfinite(tree.query(placed, distance_upper_bound=2.0 * REACHES[0])[0])
+    some = some[close][: MOST_POINTS // 10]
+    for reach in np.repeat(REACHES, STEPS):
+        planes = _planes(some, offset, surface, tree, T, reach)
+        if len(planes.distance) < 7:
+            return Laid(T, np.inf, np.inf)
+        H, g = _equations(planes, np.square(1.0 - np.square(planes.distance / reach)), offset)
+        step = -np.linalg.solve(H, g)
+        motion = small_motions(step[None, :6])[0]
+        motion[:3, 3] += planes.middle - motion[:3, :3] @ planes.middle
+        T, offset = motion @ T, offset + step[6]
+    planes = _planes(some, offset, surface, tree, T, INLIERS)
+    weight = np.square(1.0 - np.square(planes.distance / INLIERS))
+    residual = float(np.sqrt(np.mean(np.square(planes.distance))))
+    return Laid(T, residual, _doubt(planes, weight, offset, T[:3, 3] - planes.middle))
+
+
+def _equations(planes: _Planes, weight: FloatArray, offset: float) -> tuple[FloatArray, FloatArray]:
+    """Normal equations (7, 7), (7,) of a step, in which a systematic error of depth is small [m]."""
+    H = (weight[:, None] * planes.rows).T @ planes.rows + STIFF * np.eye(7)
+    g = planes.rows.T @ (weight * planes.distance)
+    prior = weight.sum() / INDEPENDENT * (NOISE / OFFSET) ** 2
+    H[6, 6] += prior
+    g[6] += prior * offset
+    return H, g
+
+
+def _doubt(planes: _Planes, weight: FloatArray, offset: float, to_camera: FloatArray) -> float:
+    """Standard deviation [m] of the camera's position, by the jackknife over links."""
+    links = np.unique(planes.link)
+    if len(links) < 2:
+        return np.inf
+    moved = []
+    for link in links:
+        H, g = _equations(planes, weight * (planes.link != link), offset)
+        step = -np.linalg.solve(H, g)
+        moved.append(np.cross(step[:3], to_camera) + step[3:6])
+    away = moved - np.mean(moved, axis=0)
+    spread = np.linalg.eigvalsh(away.T @ away)[-1]
+    return float(np.sqrt(spread * (len(links) - 1) / len(links)))
+
+
+def small_motions(changes: np.ndarray) -> FloatArray:
+    """Motions (k, 4, 4) by rotation vectors [rad] and shifts [m], the halves of changes (k, 6)."""
+    T = np.tile(np.eye(4), (len(changes), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.from_rotvec(changes[:, :3]).as_matrix(), changes[:, 3:]
+    return T
+
+
+def _planes(
+    points: FloatArray, offset: float, surface: Surface, tree: cKDTree, T: FloatArray, reach: float
+) -> _Planes:
+    """Points (m, 3) [camera frame], an offset [m] farther, that are within reach [m] of what faces the camera."""
+    away = points / np.linalg.norm(points, axis=1, keepdims=True)
+    placed, away = (points + offset * away) @ T[:3, :3].T + T[:3, 3], away @ T[:3, :3].T
+    far, nearest = tree.query(placed, distance_upper_bound=1.5 * reach)
+    found = np.isfinite(far)
+    placed, away, nearest = placed[found], away[found], nearest[found]
+    normals, on = surface.normals[nearest], surface.points[nearest]
+    distance = np.einsum("ki,ki->k", normals, placed - on)
+    good = (np.abs(distance) < reach) & (np.einsum("ki,ki->k", normals, T[:3, 3] - on) > 0.0)
+    placed, away, normals = placed[good], away[good], normals[good]
+    middle = placed.mean(axis=0) if len(placed) else np.zeros(3)
+    along = np.einsum("ki,ki->k", normals, away)[:, None]
+    rows = np.hstack([np.cross(placed - middle, normals), normals, along])
+    return _Planes(distance[good], rows, middle, surface.link[nearest[good]])
