@@ -69,7 +69,8 @@ def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
 def _cloud(shape: Measured, T: np.ndarray, reach: float = np.inf, most_balls: int = MOST_BALLS) -> Cloud:
     """The balls of a small cloud; of a large one and of a map, its cells in reach, joined to boxes."""
     if isinstance(shape, PointCloud) and len(shape.points) <= most_balls:
-        return Cloud(shape.points, np.zeros_like(shape.points), shape.radius, T)
+        balls = shape.points @ T[:3, :3].T + T[:3, 3]
+        return Cloud(balls, np.zeros_like(balls), shape.radius, np.eye(4))
     cells = cells_of(shape, T, reach)
     if cells is None:
         return Cloud(NO_VERTICES, NO_VERTICES, 0.0, T)

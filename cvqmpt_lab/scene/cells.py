@@ -49,8 +49,9 @@ def cells_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf)
     else:
         edge, padding, points = shape.resolution, shape.padding, shape.centres
         slack = np.sqrt(0.75) * edge + padding
-    far = np.linalg.norm(points @ T_parent_shape[:3, :3].T + T_parent_shape[:3, 3], axis=1)
-    points = points[far <= reach + slack]
+    if reach < np.inf:
+        away = points @ T_parent_shape[:3, :3].T + T_parent_shape[:3, 3]
+        points = points[np.einsum("ij,ij->i", away, away) <= (reach + slack) ** 2]
     if len(points) == 0:
         return None
     edge = max(edge, float(np.ptp(points, axis=0).max()) / MOST_CELLS_ACROSS)
@@ -75,30 +76,39 @@ def distinct(index: np.ndarray) -> np.ndarray:
     if np.prod(across) <= DENSE:
         taken = np.zeros(across, dtype=bool)
         taken.ravel()[keys] = True
-        return np.argwhere(taken)
-    return np.stack(np.unravel_index(np.unique(keys), across), axis=1)
+        keys = np.flatnonzero(taken)
+    else:
+        keys = np.unique(keys)
+    return np.stack(np.unravel_index(keys, across), axis=1)
 
 
 def merged(index: np.ndarray) -> Boxes:
-    """Few boxes that together are the cells (k, 3): neighbours of equal extent are joined along z, then y, then x."""
-    boxes = Boxes(index, index + 1)
-    for axis in (2, 1, 0):
-        boxes = _joined(boxes, axis)
+    """Few boxes that together are the cells (k, 3), which are in order.
+
+    Neighbours of equal extent are joined along z, then y, then x.
+    """
+    boxes = _joined(Boxes(index, index + 1), 2)
+    for axis in (1, 0):
+        boxes = _joined(_in_order(boxes, axis), axis)
     return boxes
 
 
 def _joined(boxes: Boxes, axis: int) -> Boxes:
     """Boxes that follow each other along an axis, with equal extents along the others, made one."""
     low, high = boxes
-    across = high.max(axis=0)
-    others = [k for k in range(3) if k != axis]
-    columns = [*others, axis]
-    order = np.argsort(np.ravel_multi_index(tuple(low[:, columns].T), tuple(across[columns])))
-    low, high = low[order], high[order]
     follows = low[1:, axis] == high[:-1, axis]
-    for k in others:
-        follows &= (low[1:, k] == low[:-1, k]) & (high[1:, k] == high[:-1, k])
+    for k in range(3):
+        if k != axis:
+            follows &= (low[1:, k] == low[:-1, k]) & (high[1:, k] == high[:-1, k])
     return Boxes(low[np.append(True, ~follows)], high[np.append(~follows, True)])
+
+
+def _in_order(boxes: Boxes, axis: int) -> Boxes:
+    """The boxes ordered so that those that follow each other along an axis stand beside each other."""
+    columns = [*(k for k in range(3) if k != axis), axis]
+    across = tuple(boxes.high[:, columns].max(axis=0))
+    order = np.argsort(np.ravel_multi_index(tuple(boxes.low[:, columns].T), across))
+    return Boxes(boxes.low[order], boxes.high[order])
 
 
 def seen_points(shape: Measured) -> FloatArray:

@@ -70,7 +70,7 @@ def cluster_grains(clouds: Sequence[Cloud], voxel: float) -> Clusters:
 def _cluster_cloud(cloud: Cloud, number: int, voxel: float) -> Clusters:
     _check(cloud, number)
     key = _curve_position(cloud.centre, voxel / _FINE)
-    order = np.argsort(key, kind="stable")
+    order = np.argsort(key)
     centre, half, cell = cloud.centre[order], cloud.half[order], key[order] // _FINE**3
     first_of_cell = np.append(True, cell[1:] != cell[:-1])
     place = np.arange(len(cell)) - np.flatnonzero(first_of_cell)[np.cumsum(first_of_cell) - 1]

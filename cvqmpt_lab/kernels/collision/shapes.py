@@ -1,5 +1,6 @@
 """Packing convex shapes into arrays for the kernels."""
 
+import math
 from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
@@ -60,13 +61,13 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
 
     Raises InvalidInputError for a pose, size or vertex that is not finite, and for a mesh without vertices.
     """
+    _check(specs)
     n = len(specs)
     size, radius = np.zeros((n, 3)), np.zeros(n)
     rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
     count = np.zeros(n, dtype=np.int64)
     corners: list[np.ndarray] = [np.empty((0, 3))]
     for i, spec in enumerate(specs):
-        _check(spec, i)
         if spec.kind == HULL:
             points, _ = outline(spec)
             corners.append(convex_hull(points).corners)
@@ -79,20 +80,27 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
         elif spec.kind == CYLINDER:
             size[i] = spec.size[0], spec.size[0], 0.5 * spec.size[2]
         else:
-            size[i] = 0.5 * np.array(spec.size)
+            size[i] = spec.size
+            size[i] *= 0.5
     kind = np.array([spec.kind for spec in specs], dtype=np.int64)
     vertices = np.ascontiguousarray(np.concatenate(corners).T)
     return ConvexShapes(kind, size, radius, rotation, translation, np.cumsum(count) - count, count, vertices)
 
 
-def _check(spec: ShapeSpec, i: int) -> None:
-    if not np.isfinite(spec.T_owner_shape).all() or not np.isfinite(spec.size).all():
-        raise InvalidInputError(f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]")
-    if min(spec.size, default=0.0) < 0.0:
-        raise InvalidInputError(f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]")
-    if spec.kind == HULL and not 0 < len(spec.vertices) < MAX_HULL_VERTICES:
-        raise InvalidInputError(
-            f"shape {i}: a mesh with {len(spec.vertices)} vertices; give 1 to {MAX_HULL_VERTICES - 1}"
-        )
-    if spec.kind == HULL and not np.isfinite(spec.vertices).all():
-        raise InvalidInputError(f"shape {i}: a mesh vertex is not finite; give numbers [m]")
+def _check(specs: Sequence[ShapeSpec]) -> None:
+    """Refuse what no kernel could work with."""
+    poses = np.array([spec.T_owner_shape for spec in specs]).reshape(-1, 16)
+    wrong = ~np.isfinite(poses).all(axis=1)
+    for i, spec in enumerate(specs):
+        if wrong[i] or not all(map(math.isfinite, spec.size)):
+            raise InvalidInputError(
+                f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]"
+            )
+        if min(spec.size, default=0.0) < 0.0:
+            raise InvalidInputError(f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]")
+        if spec.kind == HULL and not 0 < len(spec.vertices) < MAX_HULL_VERTICES:
+            raise InvalidInputError(
+                f"shape {i}: a mesh with {len(spec.vertices)} vertices; give 1 to {MAX_HULL_VERTICES - 1}"
+            )
+        if spec.kind == HULL and not np.isfinite(spec.vertices).all():
+            raise InvalidInputError(f"shape {i}: a mesh vertex is not finite; give numbers [m]")

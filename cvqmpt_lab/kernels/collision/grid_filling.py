@@ -1,0 +1,254 @@
+"""Filling a distance grid by blocks of 8^3 cells.
+
+The obstacles that can matter inside a block are collected, and each lowers the distances of all its cells. Distances
+from a box along the axes are sums of one term an axis, 24 in all, so that the 512 cells cost an addition and a
+comparison each. Turned boxes are measured cell by cell, where they can be nearest.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.compiling import kernel
+
+RANGE = 0.3  # [m] distances are cut off here
+STEP = RANGE / 255.0  # [m] of a stored byte
+COARSE = 8  # cells along the edge of a block
+LISTS = 64  # list blocks in one of these: bits of a mask
+BETWEEN = 16  # obstacles, a block's distances are looked at for what can still lower them
+_ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
+_HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
+
+
+@kernel(inline="machine")
+def _distances(bounds, i, x, y, z, half):
+    """Distances of obstacle i from a cube (lower bound; exact for parallel axes) and from its centre [m]."""
+    dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
+    cube2 = centre2 = 0.0
+    if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:  # axis-aligned, the common case
+        a, b, c = abs(dx) - bounds[i, 12], abs(dy) - bounds[i, 13], abs(dz) - bounds[i, 14]
+        centre2 = max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2
+        cube2 = max(a - half, 0.0) ** 2 + max(b - half, 0.0) ** 2 + max(c - half, 0.0) ** 2
+    else:
+        for k in range(3):
+            rx, ry, rz = bounds[i, k], bounds[i, 3 + k], bounds[i, 6 + k]
+            outside = max(abs(rx * dx + ry * dy + rz * dz) - bounds[i, 12 + k], 0.0)
+            centre2 += outside * outside
+            outside = max(outside - half * (abs(rx) + abs(ry) + abs(rz)), 0.0)
+            cube2 += outside * outside
+    return max(np.sqrt(cube2) - bounds[i, 15], 0.0), np.sqrt(centre2) - bounds[i, 15]
+
+
+@kernel
+def _relevant(bounds, grid, corner, candidates, reach, near, kept):
+    """Copy to kept the candidates that can be nearest somewhere in a block, or are within reach of it; how many.
+
+    near: (candidates,), of those kept the distance from the block [m].
+    """
+    half, nearest, n = 0.5 * COARSE * grid.cell, RANGE, 0
+    x, y, z = corner[0] + half, corner[1] + half, corner[2] + half
+    for k in range(candidates.shape[0]):
+        near[k], from_centre = _distances(bounds, candidates[k], x, y, z, half)
+        nearest = min(nearest, max(from_centre, 0.0) + _HALF_DIAGONAL * half)
+    for k in range(candidates.shape[0]):
+        if near[k] <= max(nearest, reach):
+            kept[n], near[n] = candidates[k], near[k]
+            n += 1
+    return n
+
+
+@kernel
+def _gaps(low, high, first, edge, gaps):
+    """Write squared distances of intervals of an edge, one after the other from first on, from low..high [m^2]."""
+    for k in range(gaps.shape[0]):
+        gap = max(low - (first + (k + 1) * edge), first + k * edge - high, 0.0)
+        gaps[k] = gap * gap
+
+
+@kernel
+def _lower(best2, x, yz):
+    """Lower squared distances best2 (COARSE, COARSE^2) to the sums of x (COARSE,) and yz (COARSE^2,)."""
+    for cx in range(COARSE):
+        gap2 = x[cx]
+        for c in range(COARSE * COARSE):
+            there = gap2 + yz[c]
+            best2[cx, c] = there if there < best2[cx, c] else best2[cx, c]
+
+
+@kernel
+def _lower_swelled(best, x, yz, swelling):
+    """The same for distances best, less a swelling [m]."""
+    for cx in range(COARSE):
+        gap2 = x[cx]
+        for c in range(COARSE * COARSE):
+            there = np.sqrt(gap2 + yz[c]) - swelling
+            best[cx, c] = there if there < best[cx, c] else best[cx, c]
+
+
+@kernel
+def _add_straight(bounds, i, grid, reach, matters, work):
+    """Lower the distances of a block's cells to those from a box along the axes; which lists it belongs to, as bits.
+
+    matters: False when no distance of the block can be lowered. work: see `_Work`.
+    """
+    swelling, lists = bounds[i, 15], np.uint64(0)
+    for a in range(3):
+        low, high = bounds[i, 9 + a] - bounds[i, 12 + a], bounds[i, 9 + a] + bounds[i, 12 + a]
+        _gaps(low, high, work.corner[a], grid.cell, work.gaps[a])
+    x, y, z = work.gaps[0], work.gaps[1], work.gaps[2]
+    if matters:
+        for cy in range(COARSE):
+            for cz in range(COARSE):
+                work.yz[COARSE * cy + cz] = y[cy] + z[cz]
+        if swelling == 0.0:
+            _lower(work.best2, x, work.yz)
+        else:
+            _lower_swelled(work.best, x, work.yz, swelling)
+    limit2 = (reach + swelling) * (reach + swelling)
+    for s in range(LISTS):
+        lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
+        near2 = min(x[lx], x[lx + 1]) + min(y[ly], y[ly + 1]) + min(z[lz], z[lz + 1])
+        if near2 <= limit2:
+            lists |= np.uint64(1) << np.uint64(s)
+    return lists
+
+
+@kernel
+def _add_turned(bounds, i, grid, reach, work):
+    """The same for a turned box."""
+    lists, edge, corner, upper, best = np.uint64(0), grid.cell, work.corner, work.upper, work.best
+    for s in range(LISTS):
+        lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
+        x, y, z = corner[0] + (lx + 1) * edge, corner[1] + (ly + 1) * edge, corner[2] + (lz + 1) * edge
+        near, from_centre = _distances(bounds, i, x, y, z, edge)
+        if near <= reach:
+            lists |= np.uint64(1) << np.uint64(s)
+        if near > upper[s]:
+            continue
+        upper[s] = min(upper[s], max(from_centre, 0.0) + _HALF_DIAGONAL * edge)
+        for k in range(8):
+            cx, cy, cz = lx + (k >> 2), ly + (k >> 1 & 1), lz + (k & 1)
+            x, y, z = (
+                corner[0] + (cx + 0.5) * edge,
+                corner[1] + (cy + 0.5) * edge,
+                corner[2] + (cz + 0.5) * edge,
+            )
+            c = COARSE * cy + cz
+            best[cx, c] = min(best[cx, c], _distances(bounds, i, x, y, z, 0.5 * edge)[0])
+    return lists
+
+
+@kernel
+def _farthest(best2, best):
+    """The largest distance of a block's cells so far [m]."""
+    most = 0.0
+    for cx in range(COARSE):
+        for c in range(COARSE * COARSE):
+            most = max(most, min(best2[cx, c], best[cx, c] * abs(best[cx, c])))
+    return np.sqrt(most)
+
+
+@kernel
+def _store(grid, bx, by, bz, best2, best):
+    """Round a block's distances down to bytes."""
+    for cx in range(COARSE):
+        for cy in range(COARSE):
+            for cz in range(COARSE):
+                c = COARSE * cy + cz
+                nearest = min(np.sqrt(best2[cx, c]), best[cx, c])
+                stored = np.uint8(255 if nearest >= RANGE else max(nearest - _ROUNDING, 0.0) / STEP)
+                grid.distance[COARSE * bx + cx, COARSE * by + cy, COARSE * bz + cz] = stored
+
+
+@kernel(allocates=True)
+def _with_room(items, needed):
+    """Return items, copied into a longer array if it is shorter than needed."""
+    if needed <= items.shape[0]:
+        return items
+    longer = np.empty(2 * needed, np.int32)
+    longer[: items.shape[0]] = items
+    return longer
+
+
+class _Work(NamedTuple):
+    """Arrays that are used anew for every block."""
+
+    corner: np.ndarray
+    """(3,) of the block [m]."""
+    gaps: np.ndarray
+    """(3, COARSE) squared distances of a box from the block's cells along each axis [m^2]."""
+    yz: np.ndarray
+    """(COARSE^2,) sums of those along y and z."""
+    best2: np.ndarray
+    """(COARSE, COARSE^2) squared distances of the cells [m^2], and ..."""
+    best: np.ndarray
+    """... distances [m]; the smaller counts."""
+    upper: np.ndarray
+    """(LISTS,) bound on what the cells of each list block have nearest [m]."""
+    place: np.ndarray
+    """(LISTS,) int64, how many obstacles each list holds; then where it goes on."""
+
+
+@kernel
+def _add_all(bounds, grid, kept, near, n, reach, work, lists):
+    """Lower the distances of a block to those from n obstacles; write to lists the lists of each, as bits."""
+    work.best2[:], work.best[:], work.upper[:], work.place[:] = np.inf, RANGE, RANGE, 0
+    farthest = RANGE
+    for k in range(n):
+        i = kept[k]
+        if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:
+            lists[k] = _add_straight(bounds, i, grid, reach, near[k] < farthest, work)
+        else:
+            lists[k] = _add_turned(bounds, i, grid, reach, work)
+        for s in range(LISTS):
+            work.place[s] += lists[k] >> np.uint64(s) & np.uint64(1)
+        if k % BETWEEN == BETWEEN - 1:
+            farthest = _farthest(work.best2, work.best)
+
+
+@kernel(allocates=True)
+def fill(bounds, grid, block_start, block_items, reach, work):
+    """Fill distances and lists; return the items of the lists."""
+    blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
+    most = 1
+    for block in range(block_start.shape[0] - 1):
+        most = max(most, block_start[block + 1] - block_start[block])
+    near, kept, lists = np.empty(most), np.empty(most, np.int32), np.empty(most, np.uint64)
+    items, used = np.empty(1024, np.int32), 0
+    for block in range(block_start.shape[0] - 1):
+        bz, by, bx = block % blocks_z, block // blocks_z % blocks_y, block // (blocks_z * blocks_y)
+        work.corner[0] = grid.origin[0] + COARSE * grid.cell * bx
+        work.corner[1] = grid.origin[1] + COARSE * grid.cell * by
+        work.corner[2] = grid.origin[2] + COARSE * grid.cell * bz
+        some = block_items[block_start[block] : block_start[block + 1]]
+        n = _relevant(bounds, grid, work.corner, some, reach, near, kept)
+        if n == 0:
+            continue
+        _add_all(bounds, grid, kept, near, n, reach, work, lists)
+        _store(grid, bx, by, bz, work.best2, work.best)
+        for s in range(LISTS):
+            count = work.place[s]
+            lx, ly, lz = 4 * bx + (s >> 4), 4 * by + (s >> 2 & 3), 4 * bz + (s & 3)
+            grid.list_start[lx, ly, lz], grid.list_count[lx, ly, lz] = used, count
+            work.place[s], used = used, used + count
+        items = _with_room(items, used)
+        for k in range(n):
+            for s in range(LISTS):
+                if lists[k] >> np.uint64(s) & np.uint64(1):
+                    items[work.place[s]] = kept[k]
+                    work.place[s] += 1
+    return items[:used].copy()
+
+
+def work_arrays() -> _Work:
+    """Return room for `fill`."""
+    plane = COARSE * COARSE
+    return _Work(
+        corner=np.empty(3),
+        gaps=np.empty((3, COARSE)),
+        yz=np.empty(plane),
+        best2=np.empty((COARSE, plane)),
+        best=np.empty((COARSE, plane)),
+        upper=np.empty(LISTS),
+        place=np.empty(LISTS, dtype=np.int64),
+    )
