@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from cli.motion_options import configuration
 from cli.options import positive_int, writable_file
-from cli.robot_options import add_robot, robot_source
+from cli.robot_options import add_robot, chosen_robot
 from cvqmpt_lab.codec.documents import to_text
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.calibration import calibrate
 from cvqmpt_lab.sensing.camera import read_extrinsics
 from cvqmpt_lab.sensing.captures import read_capture
@@ -46,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
     """Align, report, write; exit code 1 when the result is not trusted."""
     if args.out:
         writable_file(args.out)
-    robot = robot_from_source(robot_source(args) or {"name": "panda"})
-    arm = Arm(robot, _configuration(robot, args.arm_at))
+    robot = chosen_robot(args)
+    arm = Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     points = read_capture(args.file, args.intrinsics).points
     found = calibrate(points, read_extrinsics(args.guess), arm, np.random.default_rng(args.seed))
     print(
@@ -64,16 +62,3 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.out, text)
         print(f"written to {args.out}")
     return 1 if found.doubts else 0
-
-
-def _configuration(robot: Robot, text: str) -> np.ndarray:
-    """A configuration (n,) of the robot."""
-    try:
-        q = np.array([float(word) for word in text.replace(",", " ").split()])
-    except ValueError:
-        q = np.empty(0)
-    if len(q) != robot.dof or not np.isfinite(q).all():
-        raise InvalidInputError(
-            f"--arm-at {text!r}: write {robot.dof} numbers, {', '.join(robot.joint_names)}"
-        )
-    return q

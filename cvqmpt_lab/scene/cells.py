@@ -49,17 +49,18 @@ def cells_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf)
     else:
         edge, padding, points = shape.resolution, shape.padding, shape.centres
         slack = np.sqrt(0.75) * edge + padding
+    columns = np.ascontiguousarray(points.T)  # a coordinate each: many times as fast as rows of three
     if reach < np.inf:
-        away = points @ T_parent_shape[:3, :3].T + T_parent_shape[:3, 3]
-        points = points[np.einsum("ij,ij->i", away, away) <= (reach + slack) ** 2]
-    if len(points) == 0:
+        away = T_parent_shape[:3, :3] @ columns + T_parent_shape[:3, 3:]
+        columns = columns[:, np.einsum("ij,ij->j", away, away) <= (reach + slack) ** 2]
+    if columns.shape[1] == 0:
         return None
-    edge = max(edge, float(np.ptp(points, axis=0).max()) / MOST_CELLS_ACROSS)
-    place = np.floor(points * (1.0 / edge))
-    first = place.min(axis=0)
+    edge = max(edge, float(np.ptp(columns, axis=1).max()) / MOST_CELLS_ACROSS)
+    place = np.floor(columns * (1.0 / edge))
+    first = place.min(axis=1)
     T_parent_cells = T_parent_shape.copy()
     T_parent_cells[:3, 3] += T_parent_shape[:3, :3] @ (first * edge)
-    return Cells(distinct((place - first).astype(np.int64)), edge, padding, T_parent_cells)
+    return Cells(distinct((place - first[:, None]).astype(np.int64).T), edge, padding, T_parent_cells)
 
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
