@@ -72,6 +72,7 @@ def distance_grid(
     block_items = np.empty(starts[-1], dtype=np.int32)
     _assign(bounds, origin, edge, blocks, starts[:-1].copy(), block_items, True)
     pairs = tuple(COARSE // 2 * blocks)
+    work = work_arrays(int(np.diff(starts).max()))
     grid = DistanceGrid(
         origin,
         float(cell),
@@ -81,7 +82,7 @@ def distance_grid(
         np.zeros(pairs, dtype=np.int32),
         np.empty(0, dtype=np.int32),
     )
-    return grid._replace(items=fill(bounds, grid, starts, block_items, reach, work_arrays()))
+    return grid._replace(items=fill(bounds, grid, starts, block_items, reach, work))
 
 
 @kernel(inline="machine")

@@ -14,7 +14,8 @@ from cvqmpt_lab.kernels.compiling import kernel
 RANGE = 0.3  # [m] distances are cut off here
 STEP = RANGE / 255.0  # [m] of a stored byte
 COARSE = 8  # cells along the edge of a block
-LISTS = 64  # list blocks in one of these: bits of a mask
+SIDE = 4  # list blocks along the edge of one of these
+LISTS = SIDE**3  # in all
 BETWEEN = 16  # obstacles, a block's distances are looked at for what can still lower them
 _ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
 _HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
@@ -86,12 +87,19 @@ def _lower_swelled(best, x, yz, swelling):
 
 
 @kernel
+def _append(work, s, i):
+    """Append obstacle i to list s of the block."""
+    work.listed[s, work.counts[s]] = i
+    work.counts[s] += 1
+
+
+@kernel
 def _add_straight(bounds, i, grid, reach, matters, work):
-    """Lower the distances of a block's cells to those from a box along the axes; which lists it belongs to, as bits.
+    """Lower the distances of a block's cells to those from a box along the axes; append it to its lists.
 
     matters: False when no distance of the block can be lowered. work: see `_Work`.
     """
-    swelling, lists = bounds[i, 15], np.uint64(0)
+    swelling = bounds[i, 15]
     for a in range(3):
         low, high = bounds[i, 9 + a] - bounds[i, 12 + a], bounds[i, 9 + a] + bounds[i, 12 + a]
         _gaps(low, high, work.corner[a], grid.cell, work.gaps[a])
@@ -105,24 +113,25 @@ def _add_straight(bounds, i, grid, reach, matters, work):
         else:
             _lower_swelled(work.best, x, work.yz, swelling)
     limit2 = (reach + swelling) * (reach + swelling)
-    for s in range(LISTS):
-        lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
-        near2 = min(x[lx], x[lx + 1]) + min(y[ly], y[ly + 1]) + min(z[lz], z[lz + 1])
-        if near2 <= limit2:
-            lists |= np.uint64(1) << np.uint64(s)
-    return lists
+    for lx in range(SIDE):
+        across = min(x[2 * lx], x[2 * lx + 1])
+        for ly in range(SIDE if across <= limit2 else 0):
+            plane = across + min(y[2 * ly], y[2 * ly + 1])
+            for lz in range(SIDE if plane <= limit2 else 0):
+                if plane + min(z[2 * lz], z[2 * lz + 1]) <= limit2:
+                    _append(work, (lx * SIDE + ly) * SIDE + lz, i)
 
 
 @kernel
 def _add_turned(bounds, i, grid, reach, work):
     """The same for a turned box."""
-    lists, edge, corner, upper, best = np.uint64(0), grid.cell, work.corner, work.upper, work.best
+    edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
     for s in range(LISTS):
         lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
         x, y, z = corner[0] + (lx + 1) * edge, corner[1] + (ly + 1) * edge, corner[2] + (lz + 1) * edge
         near, from_centre = _distances(bounds, i, x, y, z, edge)
         if near <= reach:
-            lists |= np.uint64(1) << np.uint64(s)
+            _append(work, s, i)
         if near > upper[s]:
             continue
         upper[s] = min(upper[s], max(from_centre, 0.0) + _HALF_DIAGONAL * edge)
@@ -135,7 +144,6 @@ def _add_turned(bounds, i, grid, reach, work):
             )
             c = COARSE * cy + cz
             best[cx, c] = min(best[cx, c], _distances(bounds, i, x, y, z, 0.5 * edge)[0])
-    return lists
 
 
 @kernel
@@ -185,23 +193,23 @@ class _Work(NamedTuple):
     """... distances [m]; the smaller counts."""
     upper: np.ndarray
     """(LISTS,) bound on what the cells of each list block have nearest [m]."""
-    place: np.ndarray
-    """(LISTS,) int64, how many obstacles each list holds; then where it goes on."""
+    counts: np.ndarray
+    """(LISTS,) int64, how many obstacles each list holds."""
+    listed: np.ndarray
+    """(LISTS, most) int32, those."""
 
 
 @kernel
-def _add_all(bounds, grid, kept, near, n, reach, work, lists):
-    """Lower the distances of a block to those from n obstacles; write to lists the lists of each, as bits."""
-    work.best2[:], work.best[:], work.upper[:], work.place[:] = np.inf, RANGE, RANGE, 0
+def _add_all(bounds, grid, kept, near, n, reach, work):
+    """Lower the distances of a block to those from n obstacles, and list these."""
+    work.best2[:], work.best[:], work.upper[:], work.counts[:] = np.inf, RANGE, RANGE, 0
     farthest = RANGE
     for k in range(n):
         i = kept[k]
         if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:
-            lists[k] = _add_straight(bounds, i, grid, reach, near[k] < farthest, work)
+            _add_straight(bounds, i, grid, reach, near[k] < farthest, work)
         else:
-            lists[k] = _add_turned(bounds, i, grid, reach, work)
-        for s in range(LISTS):
-            work.place[s] += lists[k] >> np.uint64(s) & np.uint64(1)
+            _add_turned(bounds, i, grid, reach, work)
         if k % BETWEEN == BETWEEN - 1:
             farthest = _farthest(work.best2, work.best)
 
@@ -210,10 +218,8 @@ def _add_all(bounds, grid, kept, near, n, reach, work, lists):
 def fill(bounds, grid, block_start, block_items, reach, work):
     """Fill distances and lists; return the items of the lists."""
     blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
-    most = 1
-    for block in range(block_start.shape[0] - 1):
-        most = max(most, block_start[block + 1] - block_start[block])
-    near, kept, lists = np.empty(most), np.empty(most, np.int32), np.empty(most, np.uint64)
+    most = work.listed.shape[1]
+    near, kept = np.empty(most), np.empty(most, np.int32)
     items, used = np.empty(1024, np.int32), 0
     for block in range(block_start.shape[0] - 1):
         bz, by, bx = block % blocks_z, block // blocks_z % blocks_y, block // (blocks_z * blocks_y)
@@ -224,24 +230,20 @@ def fill(bounds, grid, block_start, block_items, reach, work):
         n = _relevant(bounds, grid, work.corner, some, reach, near, kept)
         if n == 0:
             continue
-        _add_all(bounds, grid, kept, near, n, reach, work, lists)
+        _add_all(bounds, grid, kept, near, n, reach, work)
         _store(grid, bx, by, bz, work.best2, work.best)
+        items = _with_room(items, used + work.counts.sum())
         for s in range(LISTS):
-            count = work.place[s]
-            lx, ly, lz = 4 * bx + (s >> 4), 4 * by + (s >> 2 & 3), 4 * bz + (s & 3)
+            count = work.counts[s]
+            lx, ly, lz = SIDE * bx + (s >> 4), SIDE * by + (s >> 2 & 3), SIDE * bz + (s & 3)
             grid.list_start[lx, ly, lz], grid.list_count[lx, ly, lz] = used, count
-            work.place[s], used = used, used + count
-        items = _with_room(items, used)
-        for k in range(n):
-            for s in range(LISTS):
-                if lists[k] >> np.uint64(s) & np.uint64(1):
-                    items[work.place[s]] = kept[k]
-                    work.place[s] += 1
+            items[used : used + count] = work.listed[s, :count]
+            used += count
     return items[:used].copy()
 
 
-def work_arrays() -> _Work:
-    """Return room for `fill`."""
+def work_arrays(most: int) -> _Work:
+    """Return room for `fill`, where at most so many obstacles are near one block."""
     plane = COARSE * COARSE
     return _Work(
         corner=np.empty(3),
@@ -250,5 +252,6 @@ def work_arrays() -> _Work:
         best2=np.empty((COARSE, plane)),
         best=np.empty((COARSE, plane)),
         upper=np.empty(LISTS),
-        place=np.empty(LISTS, dtype=np.int64),
+        counts=np.empty(LISTS, dtype=np.int64),
+        listed=np.empty((LISTS, most), dtype=np.int32),
     )
