@@ -9,7 +9,7 @@ from paper_tables.robustness_summary import Level, RobustnessTable, build_robust
 from paper_tables.summary import CSV_COLUMNS, Rendered, rows_of_one_suite
 
 TITLES = {
-    "noise": "Errors of the cameras, times those of an Azure-Kinect-class one",
+    "noise": "Errors, times an Azure Kinect's",
     "pixels": "Measured pixels, of all cameras",
     "cameras": "Cameras",
     "resolution": "Edge of the map's cells [m]",
@@ -48,7 +48,12 @@ def render_robustness(rows: Iterable[ResultRow], published: Sequence[PublishedVa
 def _advice(table: RobustnessTable) -> str:
     if table.padding is None:
         return "No padding that was tried makes every path free in truth."
-    return f"Recommended padding: {table.padding} m, the least from which on every path was free in truth."
+    chosen = [level for level in table.levels if (level.factor, level.value) == ("padding", table.padding)]
+    paths = sum(level.true_free.n for level in chosen)
+    return (
+        f"Recommended padding: {table.padding} m, the least from which on every path was free in truth "
+        f"({paths} of {paths})."
+    )
 
 
 def _lines(table: RobustnessTable, factor: str) -> Lines:
