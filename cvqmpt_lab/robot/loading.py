@@ -23,6 +23,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs
 from cvqmpt_lab.robot.source import ARTICULATED, WHERE, UrdfRobot, read_source
 from cvqmpt_lab.robot.urdf import HeldJoint, Urdf, held_joints, one_coordinate_a_joint, read_urdf
+from cvqmpt_lab.robot.urdf_bodies import check_bodies
 
 MOST_REACH = 10.0
 """[m] from the origin; the kernels' distance grid, which covers the cube around it, takes 125 MB then."""
@@ -155,6 +156,7 @@ def _built(source: Mapping[str, Any]) -> Robot:
 
 def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pin.Model, pin.GeometryModel]:
     """Pinocchio's models of the joints that are not held, standing on the given base."""
+    check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
     find_collision_meshes(root, urdf.path, [Path(folder) for folder in files.package_dirs])
     for element in root.findall("joint"):  # pinocchio cannot hold joints where one is called like a link
@@ -165,6 +167,10 @@ def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pi
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
         raise InvalidInputError(f"cannot load {files.urdf}: {' '.join(str(error).split())}") from error
+    if len(geometry.geometryObjects) != len(root.findall("link/collision")):
+        raise InvalidInputError(
+            f"cannot load {files.urdf}: its parser leaves collision bodies out; see its words above"
+        )
     q, ids = pin.neutral(model), []
     for joint in held:
         if model.existJointName(JOINT + joint.name):  # floating and planar joints are fixed by now

@@ -10,7 +10,7 @@ from functools import cached_property
 from numbers import Real
 from pathlib import Path
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import read_text
 
 TURN = 2.0 * math.pi
@@ -144,7 +144,7 @@ def _joint(element: ElementTree.Element, path: Path) -> Joint:
             return default if text is None else float(text)
         except ValueError as error:
             raise InvalidInputError(
-                f"joint {name!r} of {path.name}: {attribute} is {text!r}, no number"
+                f"joint {shown(name)} of {path.name}: {attribute} is {shown(text)}, no number"
             ) from error
 
     def link(role: str) -> str:
@@ -171,29 +171,32 @@ def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -
     for what, listed in (("link", links), ("joint", [joint.name for joint in joints])):
         twice = [name for name, count in Counter(listed).items() if count > 1]
         if twice:
-            raise InvalidInputError(f"{path.name} has more than one {what} called {twice[0]!r}: rename one")
+            raise InvalidInputError(
+                f"{path.name} has more than one {what} called {shown(twice[0])}: rename one"
+            )
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
                 raise InvalidInputError(
-                    f"joint {joint.name!r} of {path.name}: its {role} {link!r} is no link"
+                    f"joint {shown(joint.name)} of {path.name}: its {role} {shown(link)} is no link"
                 )
     children = Counter(joint.child for joint in joints)
     moved_twice = [link for link, count in children.items() if count > 1]
     if moved_twice:
         movers = [joint.name for joint in joints if joint.child == moved_twice[0]]
         raise InvalidInputError(
-            f"link {moved_twice[0]!r} of {path.name} is the child of {', '.join(movers)}: a link has one parent"
+            f"link {shown(moved_twice[0])} of {path.name} is the child of {', '.join(map(shown, movers[:8]))}: "
+            "a link has one parent"
         )
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
-        found = ", ".join(repr(link) for link in roots) or "none"
+        found = ", ".join(map(shown, roots[:8])) or "none"
         raise InvalidInputError(f"{path.name} needs one link that no joint moves; it has {found}")
     reached, below = [roots[0]], {link: [j.child for j in joints if j.parent == link] for link in links}
     for link in reached:
         reached += below[link]
     if len(reached) < len(links):
-        loose = ", ".join(repr(link) for link in links if link not in reached)
+        loose = ", ".join(map(shown, [link for link in links if link not in reached][:8]))
         raise InvalidInputError(
             f"links {loose} of {path.name} hang on no link that stands still: a ring of joints"
         )

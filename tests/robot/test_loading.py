@@ -200,7 +200,7 @@ def test_a_joint_may_be_called_like_a_link(edited):
 @pytest.mark.parametrize(
     ("replacements", "pattern"),
     [
-        ([('<child link="wrist"/>', '<child link="elbow"/>')], "'elbow'.*child of bend, twist"),
+        ([('<child link="wrist"/>', '<child link="elbow"/>')], "'elbow'.*child of.*'bend', 'twist'"),
         ([('<child link="tool"/>', '<child link="toll"/>')], "joint 'mount'.*child 'toll' is no link"),
         ([('name="twist" type', 'name="bend" type')], "more than one joint called 'bend'"),
         ([('<link name="wrist">', '<link name="elbow">')], "more than one link called 'elbow'"),
