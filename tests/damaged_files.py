@@ -21,26 +21,10 @@ from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.scene.files.clouds import read_cloud
 from cvqmpt_lab.sensing.camera import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.captures import read_capture
+from experiments.trust.mutation import damaged
 
 SLOWEST = 2.0  # [s] for one small file on a busy machine
 MEMORY = 400 * 2**20  # [bytes] that the process may grow by
-LIES = (b"999999999999", b"-1", b"0", b"1e300", b"nan", b"4294967295", b"1e-300", b"''", b"null")
-WORDS = (
-    b"[",
-    b"{",
-    b"]",
-    b": ",
-    b"\n- ",
-    b"&a ",
-    b"*a",
-    b"!!set ",
-    b"\t",
-    b"#",
-    b"'",
-    b"---\n",
-    b"\xff",
-    b"\0",
-)
 
 
 class Tried(NamedTuple):
@@ -56,38 +40,11 @@ class Tried(NamedTuple):
     """[bytes] by which the process grew."""
 
 
-def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """The bytes with some changed, cut out, doubled, lied about, or a word of another format put in."""
-    data = bytearray(data)
-    for _ in range(rng.choice([1, 1, 1, 2, 5])):
-        at = int(rng.integers(len(data) + 1))
-        length = int(rng.integers(1, 40))
-        change = rng.integers(7)
-        if change == 0:
-            data[at : at + length] = rng.bytes(length)
-        elif change == 1:
-            del data[at : at + length]
-        elif change == 2:
-            data[at:at] = data[at : at + length]
-        elif change == 3:
-            data = data[:at]
-        elif change == 4:
-            digits = [k for k in range(min(len(data), 600)) if 48 <= data[k] <= 57]
-            if digits:
-                k = digits[rng.integers(len(digits))]
-                data[k : k + 1] = LIES[rng.integers(len(LIES))]
-        elif change == 5:
-            data[at:at] = WORDS[rng.integers(len(WORDS))] * int(rng.choice([1, 1, 1, 300]))
-        elif len(data):
-            data[at % len(data)] ^= 1 << int(rng.integers(8))
-    return bytes(data)
-
-
 def tried(path: Path, seeds: Iterable[int], data: bytes, read: Callable[[Path], None]) -> Tried:
     """Read mutated files; AssertionError, with the seed, for one that is slow, or refused without its name."""
     before, good, refused, slowest = _peak(), 0, 0, 0.0
     for seed in seeds:
-        path.write_bytes(mutated(data, np.random.default_rng(seed)))
+        path.write_bytes(damaged(data, np.random.default_rng(seed)))
         began = time.perf_counter()
         try:
             read(path)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec.plain import differences
+from cvqmpt_lab.codec.plain import differences, from_plain, located
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.files import read_json_object, write_text
 
@@ -29,6 +29,15 @@ _PACKAGES = (
     "scipy",
     "torch",
 )
+_FORMS: Mapping[str, Any] = {
+    **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
+    "git_dirty": bool | None,
+    "cpu_count": int | None,
+    "weights": Mapping[str, Any],
+}
+"""What fields of a session are that others read."""
+_BUDGET: Mapping[str, Any] = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
+"""Of a configuration."""
 _THREAD_VARIABLES = ("MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -105,6 +114,14 @@ def _cpu_model() -> str | None:
     return names[0] if names else platform.processor() or None
 
 
+def _check(record: Mapping[str, Any], forms: Mapping[str, Any]) -> None:
+    """Refuse a field that is there and not as it should be."""
+    for name in forms.keys() & record.keys():
+        from_plain(forms[name], record[name], name)
+    for name, digest in record.get("weights", {}).items():
+        from_plain(str, digest, f"weights.{name}")
+
+
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """All sessions that a record tells of, the first one first."""
     return [record, *record.get("continued", [])]
@@ -134,7 +151,8 @@ class ProvenanceFile:
         Raises
         ------
         RunStoreError
-            When the file is missing, is not json, or holds no configuration.
+            When the file is missing, is not json, holds no configuration, or something else where `_FORMS` tells
+            what is.
         """
         if not self.path.is_file():
             raise RunStoreError(
@@ -146,6 +164,13 @@ class ProvenanceFile:
             raise RunStoreError(f"{error}; use another --out") from error
         if not isinstance(record.get("configuration"), dict):
             raise RunStoreError(f"{self.path} records no configuration; use another --out")
+        with located(f"{self.path}"):
+            for part in (
+                record,
+                *from_plain(tuple[Mapping[str, Any], ...], record.get("continued", []), "continued"),
+            ):
+                _check(part, _FORMS)
+            _check(record["configuration"], _BUDGET)
         return record
 
     def create(self, configuration: Mapping[str, object], session: Mapping[str, object]) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.codec.plain import field_kinds, from_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError, UnknownChoiceError, shown
 from cvqmpt_lab.files import read_text, write_text
 
 SCHEMA = "2"
@@ -223,7 +223,7 @@ def _parse_row(where: str, fields: list[str], columns: int) -> ResultRow:
         try:
             values[column] = _from_text(kind, text)
         except ValueError:
-            raise RunStoreError(f"{where}, column {column}: {text!r} cannot stand there") from None
+            raise RunStoreError(f"{where}, column {column}: {shown(text)} cannot stand there") from None
     try:
         return ResultRow(**values)
     except CvqmptError as error:
@@ -236,7 +236,7 @@ def _parse_header(path: Path, fields: list[str]) -> int:
     for index, (found, expected) in enumerate(zip_longest(fields, known, fillvalue="nothing"), start=1):
         if found != expected:
             raise RunStoreError(
-                f"{path}, line 1, column {index}: expected {expected}, found {found}; "
+                f"{path}, line 1, column {index}: expected {expected}, found {shown(found)[1:-1]}; "
                 f"the file is not a table of runs of this version (schema {SCHEMA}), use another --out"
             )
     return len(known)

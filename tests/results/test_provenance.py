@@ -2,9 +2,11 @@ import json
 import subprocess
 
 import numpy as np
+import pytest
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results import provenance as provenance_module
-from cvqmpt_lab.results.provenance import provenance
+from cvqmpt_lab.results.provenance import ProvenanceFile, provenance
 
 
 def test_provenance_names_versions_machine_and_seeds():
@@ -37,3 +39,21 @@ def test_git_state_is_read_and_never_fails(tmp_path, monkeypatch):
     assert provenance_module._git_state(root / "below") == (None, None)  # another project's repository
     monkeypatch.setenv("PATH", "")
     assert provenance_module._git_state(root) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"continued": 3}, "continued is 3"),
+        ({"continued": [None]}, r"continued\[0\] is None"),
+        ({"git_commit": 7}, "git_commit is 7"),
+        ({"weights": {"mpnet": None}}, "weights.mpnet is None"),
+        ({"configuration": {"cutoff_s": "10"}}, "cutoff_s is '10'"),
+    ],
+)
+def test_a_record_that_is_not_one_is_refused_by_field(tmp_path, changes, words):
+    file = ProvenanceFile(tmp_path)
+    file.create({"cutoff_s": 10.0}, provenance(["cvqmpt"], [0], {"mpnet": "abc"}))
+    file.path.write_text(json.dumps(file.read() | changes))
+    with pytest.raises(InvalidInputError, match=rf"provenance.json: {words}"):
+        file.read()

@@ -153,6 +153,10 @@ def test_a_foreign_header_is_named(tmp_path):
     path.write_text(path.read_text().replace("backend", "engine"))
     with pytest.raises(RunStoreError, match="line 1, column 7: expected backend, found engine"):
         read_rows(path)
+    path.write_text("schema\x1b[31m" + "x" * 9000)
+    with pytest.raises(RunStoreError, match=r"found schema.*use another --out") as caught:
+        read_rows(path)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 600
     path.write_text("")
     with pytest.raises(RunStoreError, match="expected schema, found nothing"):
         read_rows(path)
