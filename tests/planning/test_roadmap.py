@@ -131,7 +131,8 @@ def test_edges_cost_what_the_eyes_doubt(problem, roadmap, eyes, cloud):
     query = RoadmapQuery(
         space, roadmap, problem.start, problem.goals, RoadmapSettings(), sight=eyes.look(cloud)
     )
-    query.next_path(Allowance(ENOUGH, space), check=False)
+    for _ in range(6):
+        query.next_path(Allowance(ENOUGH, space), check=False)
     graph, k = query._graph, roadmap.neighbours.shape[1]
     rows, slots = np.nonzero(graph.judged[: len(roadmap.nodes), :k])
     assert len(rows) > 50
