@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 LISTED = 60  # choices that a message lists at most
 LONGEST = 120  # characters of a value that a message shows
+LONGEST_LINE = 1200  # characters of a message
 
 
 def shown(value: object) -> str:
@@ -29,8 +30,19 @@ def nearest(value: object, choices: Iterable[object]) -> str:
     return f"; did you mean {plain[found[0]]!r}?" if found else ""
 
 
+def one_line(text: str) -> str:
+    """A message as one printable line, without its middle where it is very long."""
+    line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+    return (
+        line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3 :]}"
+    )
+
+
 class CvqmptError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base of every error this package raises on purpose; whatever it quotes, it is one line."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(str(message)))
 
 
 class UnknownChoiceError(CvqmptError):

@@ -14,12 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.errors import LONGEST_LINE, CvqmptError
 from experiments.trust.check import Trial
 
 MEMORY = 2**30  # [bytes] more than the process had at first
 HANG = 20.0  # [s] of wall time after which an input is given up
-LONGEST = 700  # characters of an error
 FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind")
 CHANGING = (
     "os.remove",
@@ -127,7 +126,7 @@ def _answer(hostile: Hostile, path: Path) -> str:
         hostile.use(path)
     except CvqmptError as error:
         text = str(error)
-        if len(text) > LONGEST or not text.isprintable():
+        if len(text) > LONGEST_LINE or not text.isprintable():
             fault = f"an error of {len(text)} characters, not one printable line: {text[:80]!r}"
     except BaseException as error:
         fault = f"{type(error).__name__}: {str(error)[:200]!r}"
