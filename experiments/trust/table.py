@@ -9,6 +9,7 @@ from experiments.trust.check import Check
 PARTS: Mapping[str, str] = {
     "determinism": "experiments.trust.determinism",
     "differential": "experiments.trust.differential",
+    "faults": "experiments.trust.faults",
     "files": "experiments.trust.files",
 }
 """Module of each part; only those asked for are imported."""
