@@ -59,7 +59,11 @@ def make_folder(path: Path) -> Path:
 def require_regular_file(path: Path, what: str = "file") -> Path:
     """Refuse what is there and no file, such as a pipe, which a reader would wait for; InvalidInputError names it."""
     path = Path(path)
-    if path.exists() and not path.is_file() and not path.is_dir():
+    try:
+        odd = path.exists() and not path.is_file() and not path.is_dir()
+    except OSError as error:  # e.g. a name that is too long
+        raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error
+    if odd:
         raise InvalidInputError(f"cannot read {what} {path}: it is not a regular file")
     return path
 
@@ -102,10 +106,15 @@ def unlock(handle: int) -> None:
 
 def read_bytes(path: Path, what: str = "file") -> bytes:
     """Read a file; InvalidInputError, which calls it `what`, names a path that cannot be read."""
+    path = Path(path)
     try:
-        return Path(path).read_bytes()
+        if path.is_char_device() or path.is_block_device():  # /dev/zero has no end
+            raise InvalidInputError(f"cannot read {what} {path}: it is a device, no file")
+        return path.read_bytes()
     except OSError as error:
         raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error
+    except ValueError as error:  # no file can be called so
+        raise InvalidInputError(f"cannot read {what} {shown(str(path))}: {error}") from error
 
 
 def read_text(path: Path, what: str = "file") -> str:

@@ -3,7 +3,16 @@ import os
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import make_folder, read_json_object, read_text, replacing, write_bytes, write_text
+from cvqmpt_lab.files import (
+    make_folder,
+    read_bytes,
+    read_json_object,
+    read_text,
+    replacing,
+    require_regular_file,
+    write_bytes,
+    write_text,
+)
 
 
 def names(folder):
@@ -62,3 +71,15 @@ def test_a_file_that_is_no_plain_json_object_is_refused(tmp_path, text, words):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(InvalidInputError, match=words):
         read_json_object(tmp_path / "a.json", "problem")
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a\ud800", "x" * 5000])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
+    with pytest.raises(InvalidInputError, match="cannot read scan") as caught:
+        read_bytes(require_regular_file(tmp_path / name, "scan"), "scan")
+    assert str(caught.value).isprintable()
+
+
+def test_a_device_is_not_read_for_ever():
+    with pytest.raises(InvalidInputError, match="cannot read scene /dev/zero: it is a device"):
+        read_json_object("/dev/zero", "scene")

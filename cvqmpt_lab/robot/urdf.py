@@ -11,7 +11,7 @@ from numbers import Real
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
-from cvqmpt_lab.files import read_text
+from cvqmpt_lab.files import read_text, require_regular_file
 
 TURN = 2.0 * math.pi
 """[rad] A continuous joint turns by up to this much either way: a whole turn more would be the same posture."""
@@ -122,7 +122,7 @@ class Urdf:
 def read_urdf(path: Path) -> Urdf:
     """Read a URDF file; InvalidInputError names what is no tree of links and joints in it."""
     try:
-        root = ElementTree.fromstring(read_text(path, "URDF"))
+        root = ElementTree.fromstring(read_text(require_regular_file(path, "URDF"), "URDF"))
     except ElementTree.ParseError as error:
         raise InvalidInputError(f"cannot read URDF {path}: {error}") from error
     if root.tag != "robot":

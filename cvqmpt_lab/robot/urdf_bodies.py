@@ -15,8 +15,6 @@ SIZES: Mapping[str, Mapping[str, int]] = {
     "mesh": {},
 }
 """Shapes, with how many positive numbers [m] each of their attributes must be."""
-MOST = 1e4
-"""[m] Of a size."""
 
 
 def check_bodies(root: ElementTree.Element, path: Path) -> None:
@@ -51,10 +49,8 @@ def _check_body(body: ElementTree.Element) -> None:
         raise UnknownChoiceError("shape", shape.tag, SIZES)
     for name, count in SIZES[shape.tag].items():
         sizes = _numbers(shape, name, count)
-        if not all(0.0 < size <= MOST for size in sizes):
-            raise InvalidInputError(
-                f"{name} of its {shape.tag} is {sizes}; give more than 0, at most {MOST:g} [m]"
-            )
+        if not all(size > 0.0 for size in sizes):
+            raise InvalidInputError(f"{name} of its {shape.tag} is {sizes}; give more than 0 [m]")
     if shape.get("scale") is not None and 0.0 in _numbers(shape, "scale", 3):
         raise InvalidInputError("scale of its mesh is 0; give other numbers")
     _check_origins(body)

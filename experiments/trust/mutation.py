@@ -128,7 +128,7 @@ def _replace(holder: Any, key: Any, places: Any, rng: Rng) -> None:
 
 
 def _scale(holder: Any, key: Any, places: Any, rng: Rng) -> None:
-    if isinstance(holder[key], float | int):
+    if isinstance(holder[key], float | int) and abs(holder[key]) < 1e300:
         holder[key] = holder[key] * float(10.0 ** rng.integers(-12, 13)) * float(rng.choice([-1.0, 1.0]))
 
 

@@ -19,7 +19,6 @@ CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
         ),
         (CYLINDER, '<cylinder length="0.3"/>', "link 'shoulder'.*radius"),
         (CYLINDER, '<cylinder radius="-0.04" length="0.3"/>', "radius.*-0.04.*more than 0"),
-        (CYLINDER, '<cylinder radius="1e308" length="0.3"/>', "radius.*at most 10000"),
         (CYLINDER, '<capsule radius="0.04" length="0.3"/>', "unknown shape 'capsule'"),
         (BOX, '<geometry><box size="0.1 0.12"/></geometry>', "link 'carriage'.*'0.1 0.12'.*3 finite"),
         (BOX, '<geometry><box size="0.1 nan 0.08"/></geometry>', "3 finite"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.codec.plain import from_plain, located
-from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.files import read_json_object, require_regular_file
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MapFile, MeshFile
 from cvqmpt_lab.scene.scene import Scene
@@ -45,7 +45,7 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
 def read_scene(path: Path | str) -> Scene:
     """The scene of a json file of its own; errors name the file."""
     path = Path(path)
-    data = _scene(read_json_object(path, "scene"), path.parent)
+    data = _scene(read_json_object(require_regular_file(path, "scene"), "scene"), path.parent)
     with located(f"scene {path}"):
         return from_plain(Scene, data)
 
