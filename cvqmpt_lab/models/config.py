@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, Self
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, shown
 
 LARGEST = 1 << 16
 """Of any size; a larger one is a slip of the pen."""
@@ -22,7 +22,7 @@ def require_sizes(**sizes: int | tuple[int, ...] | None) -> None:
     for name, given in sizes.items():
         for size in given if isinstance(given, tuple) else (given,):
             if size is not None and not 1 <= size <= LARGEST:
-                raise InvalidInputError(f"{name} is {size:.4g}; give 1 to {LARGEST}")
+                raise InvalidInputError(f"{name} is {shown(size)}; give 1 to {LARGEST}")
 
 
 def require_probability(name: str, value: float) -> None:
