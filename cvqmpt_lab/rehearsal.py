@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import compiled_before
+from cvqmpt_lab.kernels.search.tree_growth import plant, remove_child_of_segment
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planning.proposal import Observation
+from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.planning.search import search
@@ -34,14 +35,28 @@ def rehearse(
     """
     if announce is not None and not compiled_before():
         announce("compiling kernels, once per machine and version ...")
-    rng = np.random.default_rng(0)
     empty, _ = with_sampled_goals(replace(problem, scene=Scene("empty", ())))
     goals = empty.goals if len(empty.goals) else problem.start[None]
-    stages = method.stages(empty)
-    space = ConstrainedSpace(empty.with_goals(goals), backend)
-    query = Query.of(space, Budget(iterations=ITERATIONS), rng)
+    rehearse_proposal(empty.with_goals(goals), method, backend)
+    rehearse_search(empty.with_goals(goals), method, backend)
+
+
+def rehearse_proposal(problem: PlanningProblem, method: Method, backend: str) -> None:
+    """What a method does before it searches, with a made-up cloud, for a problem with goals."""
+    rng = np.random.default_rng(0)
+    stages = method.stages(problem)
+    query = Query.of(ConstrainedSpace(problem, backend), Budget(iterations=ITERATIONS), rng)
     proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (POINTS, 3)), 0.0))
     if stages.update is not None:
-        proposal = stages.update(query, proposal)
-    search(stages.search, query, proposal)
+        stages.update(query, proposal)
+
+
+def rehearse_search(problem: PlanningProblem, method: Method, backend: str) -> None:
+    """What a method does once it searches, with uniform samples, for a problem with goals."""
+    rng = np.random.default_rng(0)
+    space = ConstrainedSpace(problem, backend)
+    query = Query.of(space, Budget(iterations=ITERATIONS), rng)
+    search(method.stages(problem).search, query, Proposal(query.uniform))
     simplify(space, JointPath(np.array([problem.start, problem.start])), rng, SimplifySettings(SHORTCUTS))
+    trees = plant(problem.start, problem.goals, capacity=8)
+    remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)  # else only after a failed fine check

@@ -145,7 +145,9 @@ class RoadmapQuery:
         """
         path, ends = np.empty(LONGEST_PATH, dtype=np.int64), np.empty(LONGEST_PATH, dtype=np.int64)
         states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
+        length, bad = 0, -1
         while self._left > 0 and allowance.spent() is None:
+            kernels.block_state(self._graph, path, ends, length, bad)  # of a path that failed its fine check
             most = min(self._left, SEARCHES_AT_ONCE, allowance.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search(
                 self._arrays, self._graph, self._sight, most, self._settings.drift, check, path, ends, states
@@ -154,17 +156,16 @@ class RoadmapQuery:
             self._left -= searched
             allowance.count(searched)
             self.searches += searched
-            if size != kernels.NO_PATH:
-                found, bad = (
-                    self._space.checked_path(states[:size]) if check else (JointPath(states[:size]), -1)
-                )
-                if found is not None:
-                    rows = path[1 : length - 1][::-1].copy()
-                    self._graph.factor[rows] *= self._settings.detour
-                    return JointPath(found.states.copy()), rows
-                kernels.block_state(self._graph, path, ends, length, bad)
-            elif searched < most:
-                break
+            if size == kernels.NO_PATH:
+                if searched < most:
+                    break
+                length = 0
+                continue
+            found, bad = self._space.checked_path(states[:size]) if check else (JointPath(states[:size]), -1)
+            if found is not None:
+                rows = path[1 : length - 1][::-1].copy()
+                self._graph.factor[rows] *= self._settings.detour
+                return JointPath(found.states.copy()), rows
         return None, np.empty(0, dtype=np.int64)
 
     @property
