@@ -46,6 +46,9 @@ def sample_goals(
 ) -> GoalSample:
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
+    Where joints turn by more than a full turn, every second one is taken by the turns nearest to the start: else
+    most goals of an arm with several such joints are whole turns away, and none may be on the start's side.
+
     within: regions kept at the same time; that of a held handle puts its door where the hand is.
     near: configuration (n,) that Newton's method starts around, instead of anywhere.
     """
@@ -77,12 +80,21 @@ def sample_goals(
         count,
         poses,
     )
+    configurations = poses.configurations[poses.reached[:found]]
+    configurations[::2] = _turned_near(configurations[::2], problem.start, robot)
     return GoalSample(
-        poses.configurations[poses.reached[:found]],
+        configurations,
         poses_tried=int((poses.verdict != UNTRIED).sum()),
         unreachable=int((poses.verdict == UNREACHABLE).sum()),
         colliding=int((poses.verdict == COLLIDING).sum()),
     )
+
+
+def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) -> np.ndarray:
+    """The same postures (k, n), hinges turned by whole turns to where limits allow nearest to a start (n,)."""
+    whole = 2.0 * np.pi * np.round((configurations - start) / (2.0 * np.pi))
+    turned = configurations - np.where(robot.kinematics.prismatic, 0.0, whole)
+    return np.where((turned >= robot.lower) & (turned <= robot.upper), turned, configurations)
 
 
 @lru_cache(maxsize=8)

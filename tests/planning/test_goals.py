@@ -8,6 +8,8 @@ import pytest
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.goals import sample_goals
+from cvqmpt_lab.problem import PlanningProblem
+from experiments.suites.other_robots import other_robot_problem
 from experiments.suites.place_task import place_problem
 
 
@@ -58,3 +60,14 @@ def test_what_cannot_be_had_is_counted(problem):
     inside = replace(beyond, goal_region=TaskSpaceRegion(base, np.eye(4), bounds))
     sample = sample_goals(inside, np.random.default_rng(0), 5, max_poses=30)
     assert len(sample.configurations) == 0 and sample.unreachable + sample.colliding == 30
+
+
+def test_half_of_the_goals_of_joints_with_more_than_a_turn_are_at_most_half_a_turn_away():
+    problem = other_robot_problem("ur5", 0)
+    assert isinstance(problem, PlanningProblem)
+    goals = sample_goals(problem, np.random.default_rng(0), 20).configurations
+    away = np.abs(goals - problem.start).max(axis=1)
+    assert away[::2].max() <= np.pi < away[1::2].max()
+    region = replace(problem, constraint=(problem.goal_region,)).manifold
+    assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
+    assert ((goals >= problem.robot.lower) & (goals <= problem.robot.upper)).all()
