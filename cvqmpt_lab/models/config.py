@@ -51,7 +51,7 @@ class TransformerConfig:
         require_sizes(**sizes)
         require_probability("dropout", self.dropout)
         if not 1 <= self.n_layers <= MOST_LAYERS:
-            raise InvalidInputError(f"n_layers is {self.n_layers:.4g}; give 1 to {MOST_LAYERS}")
+            raise InvalidInputError(f"n_layers is {shown(self.n_layers)}; give 1 to {MOST_LAYERS}")
 
 
 @dataclass(frozen=True, kw_only=True)
