@@ -15,12 +15,16 @@ from cvqmpt_lab.robot.loading import robot_from_source
 
 @pytest.mark.parametrize(
     "robot_options",
-    ["", "--robot ur5 --family shelves", "--robot tiago-no-hand --base 0,0,-0.6 --family shelves"],
+    [
+        "--family kitchen-like",
+        "--robot ur5 --family shelves",
+        "--robot tiago-no-hand --base 0,0,-0.6 --family shelves",
+    ],
 )
 def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     """For the Panda, an arm of six joints and one whose first joint slides."""
     data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
-    few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]  # the first one validates
+    few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]  # the first of each family validates
     assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data), *robot_options.split()]) == 0
     common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
     assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
