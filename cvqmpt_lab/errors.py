@@ -52,6 +52,11 @@ class UnknownChoiceError(CvqmptError):
         names = [str(choice) for choice in choices]
         listed = ", ".join(names[:LISTED]) + (f", ... ({len(names)} in all)" if len(names) > LISTED else "")
         super().__init__(f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}")
+        self._asked = kind, value, names
+
+    def __reduce__(self) -> tuple:
+        """Make it again from what was asked, in the process that waits for a worker's answer."""
+        return UnknownChoiceError, self._asked
 
 
 class InvalidInputError(CvqmptError):

@@ -20,6 +20,13 @@ def test_an_error_is_one_printable_line_that_keeps_its_end(error):
     str(error).encode()
 
 
-def test_an_error_of_a_worker_arrives():
-    error = InvalidInputError("cannot write a  b; choose a folder")
-    assert str(pickle.loads(pickle.dumps(error))) == "cannot write a  b; choose a folder"
+@pytest.mark.parametrize(
+    "error",
+    [
+        InvalidInputError("cannot write a  b; choose a folder"),
+        UnknownChoiceError("planner", "birt", ["birrt", "mpnet"]),
+    ],
+)
+def test_an_error_of_a_worker_arrives(error):
+    arrived = pickle.loads(pickle.dumps(error))
+    assert type(arrived) is type(error) and str(arrived) == str(error)
