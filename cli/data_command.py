@@ -9,9 +9,9 @@ from cli.options import ProgressBar, positive_int
 from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.scene.families import FAMILIES
-from experiments.roadmap_data import RoadmapRecipe
+from experiments.labels.roadmap_data import RoadmapRecipe
+from experiments.labels.training_data import PANDA, Recipe, SceneRecipe, generate
 from experiments.run import default_jobs
-from experiments.training_data import PANDA, Recipe, SceneRecipe, generate
 from experiments.warmup import compile_kernels
 
 EXAMPLES = (

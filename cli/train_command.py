@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
     if args.stage == SIGHT:
-        from experiments.sight_training import train_eyes  # kernels, which a bare machine has not
+        from experiments.labels.sight_training import train_eyes  # kernels, which a bare machine has not
 
         motions = train_eyes(
             args.data, args.out, args.model, args.seed, {"provenance": origin}, ProgressBar(SIGHT)

@@ -19,9 +19,9 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 from experiments.bench.timing import Figure, spread, timed
-from experiments.labelled_scenes import unconstrained_space
-from experiments.roadmap_labels import roadmap_graph, verdicts
-from experiments.sight_examples import Examples, examples_of
+from experiments.labels.labelled_scenes import unconstrained_space
+from experiments.labels.roadmap_labels import roadmap_graph, verdicts
+from experiments.labels.sight_examples import Examples, examples_of
 
 FIRST_SCENE = 3000  # numbers that no dataset and no suite uses
 KITCHEN = "kitchen of the tasks"

@@ -206,7 +206,7 @@ MALICE = _malice()
 def dataset() -> Mapping[str, bytes]:
     """The files of a small folder of training data."""
     from cvqmpt_lab.planning.near_shortest import NearShortestSettings
-    from experiments.training_data import Recipe, generate
+    from experiments.labels.training_data import Recipe, generate
 
     labels = NearShortestSettings(restarts=1, first=200, later=50, finish=16)
     with tempfile.TemporaryDirectory() as parent:

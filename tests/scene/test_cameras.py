@@ -26,7 +26,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
-from experiments.labelled_scenes import SHAPES
+from experiments.labels.labelled_scenes import SHAPES
 
 
 def test_the_published_kitchen_cloud(open_kitchen):

@@ -25,7 +25,7 @@ from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
 from cvqmpt_lab.training.sequences import code_sequences
-from experiments.labelled_scenes import SHAPES
+from experiments.labels.labelled_scenes import SHAPES
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
 

@@ -19,9 +19,9 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.shards import FULL_SCALE
-from experiments import labelled_scenes, training_data
-from experiments.dataset_card import dataset_card
-from experiments.training_data import Recipe, generate
+from experiments.labels import labelled_scenes, training_data
+from experiments.labels.dataset_card import dataset_card
+from experiments.labels.training_data import Recipe, generate
 
 TINY = Recipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
 

@@ -9,9 +9,9 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
 from cvqmpt_lab.training.shards import FULL_SCALE, finished_shards
-from experiments import training_data
-from experiments.roadmap_data import RoadmapRecipe
-from experiments.training_data import generate
+from experiments.labels import training_data
+from experiments.labels.roadmap_data import RoadmapRecipe
+from experiments.labels.training_data import generate
 
 TINY = RoadmapRecipe(4, 12, ("table", "cage"))
 

@@ -17,7 +17,7 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE
 from cvqmpt_lab.training.sight import train_sight
-from experiments.sight_examples import training_examples
+from experiments.labels.sight_examples import training_examples
 
 ENOUGH = 400  # scenes; more won nothing
 

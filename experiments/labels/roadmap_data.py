@@ -14,8 +14,8 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.roadmap_shards import ROADMAP_FILE, RoadmapGraph, RoadmapShard, read_roadmap_shards
 from cvqmpt_lab.training.shards import Shard
-from experiments.roadmap_labels import roadmap_arrays, roadmap_graph, roadmap_labels
-from experiments.training_data import SceneRecipe
+from experiments.labels.roadmap_labels import roadmap_arrays, roadmap_graph, roadmap_labels
+from experiments.labels.training_data import SceneRecipe
 
 
 @dataclass(frozen=True)

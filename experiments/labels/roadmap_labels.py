@@ -18,7 +18,13 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
 from cvqmpt_lab.training.shards import Arrays
-from experiments.labelled_scenes import CANDIDATES, near_obstacles, packed, scene_shapes, unconstrained_space
+from experiments.labels.labelled_scenes import (
+    CANDIDATES,
+    near_obstacles,
+    packed,
+    scene_shapes,
+    unconstrained_space,
+)
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
 LINKS = 20  # nodes that each is linked to

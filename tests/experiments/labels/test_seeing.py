@@ -16,12 +16,12 @@ from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
 from experiments.bench.seeing import area, calibration_error
-from experiments.labelled_scenes import unconstrained_space
-from experiments.roadmap_data import RoadmapRecipe
-from experiments.roadmap_labels import verdicts
-from experiments.sight_examples import examples_of
-from experiments.sight_training import train_eyes
-from experiments.training_data import generate
+from experiments.labels.labelled_scenes import unconstrained_space
+from experiments.labels.roadmap_data import RoadmapRecipe
+from experiments.labels.roadmap_labels import verdicts
+from experiments.labels.sight_examples import examples_of
+from experiments.labels.sight_training import train_eyes
+from experiments.labels.training_data import generate
 
 
 def test_the_area_counts_pairs_in_order():

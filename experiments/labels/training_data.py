@@ -33,8 +33,8 @@ from cvqmpt_lab.training.shards import (
     finished_shards,
     write_shard,
 )
-from experiments.dataset_card import dataset_card
-from experiments.labelled_scenes import labelled_scene, shard_arrays
+from experiments.labels.dataset_card import dataset_card
+from experiments.labels.labelled_scenes import labelled_scene, shard_arrays
 from experiments.workers import worker_pool
 
 FIRST_SCENE = 10_000_000
