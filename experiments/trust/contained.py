@@ -101,6 +101,7 @@ def _child(hostile: Hostile, folder: Path, end: int, reached: "Synchronized[int]
     resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
+    sys.dont_write_bytecode = True  # Python's own files beside modules that are imported late
     beyond: list[str] = []
     watching = [False]
     sys.addaudithook(lambda event, args: _note(event, args, folder, beyond) if watching[0] else None)
