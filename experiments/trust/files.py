@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import scipy.stats  # noqa: F401  # tables import it late; here nobody shall wait for it
 
 from cvqmpt_lab.models.stored import read_model
 from cvqmpt_lab.pipeline import solve
