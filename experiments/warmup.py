@@ -43,7 +43,8 @@ def _trees() -> None:
 
 def _others() -> None:
     """Roadmaps, networks, and what planners in Python ask state by state."""
-    problem = _problem().with_goals(_problem().start[None])
+    problem = _problem()
+    problem = problem.with_goals(problem.start[None])
     rehearse_proposal(problem, planner_named("roadmap-cvq"), "compiled")
     rehearse_proposal(problem, planner_named("opt-cvq-mpt"), "compiled")
     space, q = ConstrainedSpace(problem), np.array(problem.start)

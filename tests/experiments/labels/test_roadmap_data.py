@@ -9,7 +9,6 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
 from cvqmpt_lab.training.shards import FULL_SCALE, finished_shards
-from experiments.labels import training_data
 from experiments.labels.roadmap_data import RoadmapRecipe
 from experiments.labels.training_data import generate
 
@@ -21,12 +20,10 @@ def make(out, recipe=TINY):
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
+def tiny(tmp_path_factory, two_scenes_a_shard):
     out = tmp_path_factory.mktemp("roadmap")
-    training_data.SCENES_PER_SHARD = 2
     make(out)
-    yield out
-    training_data.SCENES_PER_SHARD = 16
+    return out
 
 
 @pytest.fixture(scope="module")

@@ -31,12 +31,10 @@ def make(out, recipe=TINY):
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
+def tiny(tmp_path_factory, two_scenes_a_shard):
     out = tmp_path_factory.mktemp("data")
-    training_data.SCENES_PER_SHARD = 2
     make(out)
-    yield out
-    training_data.SCENES_PER_SHARD = 16
+    return out
 
 
 def shards(out):
