@@ -3,9 +3,15 @@
 import argparse
 from pathlib import Path
 
+from cli.options import writable_file
+from paper_tables.ompl_log import write_ompl_log
 from paper_tables.render import render_directory
 
-EXAMPLES = ("cvqmpt table runs/place-task", "cvqmpt table paper_tables/results/place-task")
+EXAMPLES = (
+    "cvqmpt table runs/place-task",
+    "cvqmpt table paper_tables/results/place-task",
+    "cvqmpt table runs/place-task --ompl-log place.log && ompl_benchmark_statistics place.log -d place.db",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -13,10 +19,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "directory", type=Path, metavar="DIR", help="a directory with runs.csv and provenance.json"
     )
+    parser.add_argument(
+        "--ompl-log",
+        type=Path,
+        metavar="FILE",
+        help="write the rows as OMPL's benchmark log instead, for ompl_benchmark_statistics and Planner Arena",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Render the tables and print the short one."""
+    """Render the tables and print the short one, or write the log."""
+    if args.ompl_log:
+        write_ompl_log(args.directory, writable_file(args.ompl_log))
+        print(f"{args.ompl_log} written; read it with: ompl_benchmark_statistics {args.ompl_log} -d FILE.db")
+        return 0
     show_tables(args.directory)
     return 0
 

@@ -75,7 +75,7 @@ def render_directory(directory: Path) -> RenderedFiles:
         When the directory holds no readable runs with provenance, or cannot be written.
     """
     directory = Path(directory)
-    rows = rows_of_one_suite(_rows(directory))
+    rows = rows_of_one_suite(directory_rows(directory))
     record = ProvenanceFile(directory).read()
     table = TABLES.get(rows[0].suite, SuiteTable(f"Suite {rows[0].suite}"))
     paper = read_published(*table.paper) if table.paper else ()
@@ -91,7 +91,8 @@ def render_directory(directory: Path) -> RenderedFiles:
     return RenderedFiles(tuple(directory / name for name in texts), (title, *made.brief))
 
 
-def _rows(directory: Path) -> list[ResultRow]:
+def directory_rows(directory: Path) -> list[ResultRow]:
+    """Rows of a results directory; RunStoreError, which tells the cure, when it has none."""
     cure = f"run an experiment with --out {directory} first"
     if not directory.is_dir():
         raise RunStoreError(f"{directory} is not a directory; {cure}")

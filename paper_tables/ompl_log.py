@@ -1,0 +1,100 @@
+"""A run as OMPL's benchmark log, which ``ompl_benchmark_statistics`` and Planner Arena read."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.files import write_text
+from cvqmpt_lab.results.provenance import ProvenanceFile
+from cvqmpt_lab.results.row import FailReason, ResultRow
+from paper_tables.render import directory_rows
+
+STATUSES = (
+    "Unknown status", "Invalid start", "Invalid goal", "Unrecognized goal type", "Timeout", "Approximate solution",
+    "Exact solution", "Crash", "Abort", "Infeasible",
+)  # fmt: skip
+"""OMPL's own, in its order: a database of several logs keeps one list."""
+STATUS_OF: Mapping[FailReason | None, str] = {
+    None: "Exact solution",
+    FailReason.TIMEOUT: "Timeout",
+    FailReason.ITERATION_LIMIT: "Timeout",
+    FailReason.NO_START: "Invalid start",
+    FailReason.INVALID_START: "Invalid start",
+    FailReason.NO_GOAL: "Invalid goal",
+    FailReason.INVALID_GOAL: "Invalid goal",
+    FailReason.WORKER_DIED: "Crash",
+}
+"""Other reasons are unknown to OMPL; the property "fail reason" has them all."""
+
+
+def _search_seconds(row: ResultRow) -> float | None:
+    """All but the shortening, which OMPL counts apart [s]."""
+    return None if row.t_total_s is None else row.t_total_s - (row.t_simplify_s or 0.0)
+
+
+PROPERTIES: Mapping[str, Callable[[ResultRow], Any]] = {
+    "problem TEXT": attrgetter("problem"),
+    "seed INTEGER": attrgetter("seed"),
+    "solved BOOLEAN": lambda row: int(row.solved),
+    "status ENUM": lambda row: STATUSES.index(STATUS_OF.get(row.fail_reason, "Unknown status")),
+    "fail reason TEXT": attrgetter("fail_reason"),
+    "time REAL": _search_seconds,
+    "simplification time REAL": attrgetter("t_simplify_s"),
+    "solution length REAL": attrgetter("path_length_raw_rad"),
+    "simplified solution length REAL": attrgetter("path_length_rad"),
+    "graph states INTEGER": attrgetter("vertices"),
+    "projections INTEGER": attrgetter("n_projections"),
+    "state checks INTEGER": attrgetter("n_state_checks"),
+    "clearance REAL": attrgetter("min_clearance_m"),
+}
+"""Name and SQL type of each property of a run, in OMPL's words where it has any."""
+
+
+def write_ompl_log(directory: Path, path: Path) -> None:
+    """Write the rows of a results directory as one experiment, named after its suite.
+
+    Raises
+    ------
+    InvalidInputError
+        When the directory holds no readable runs with provenance, or `path` cannot be written.
+    """
+    write_text(path, ompl_log(directory_rows(directory), ProvenanceFile(directory).read()))
+
+
+def ompl_log(rows: Sequence[ResultRow], record: Mapping[str, Any]) -> str:
+    """Rows of one suite in the grammar of OMPL's log; record: their provenance."""
+    settings = record["configuration"]
+    runs = {name: list(group) for name, group in groupby(sorted(rows, key=_order), attrgetter("planner"))}
+    lines = [
+        f"cvqmpt_lab version {record.get('versions', {}).get('cvqmpt-lab') or '0'}",
+        f"Experiment {rows[0].suite}",
+        "0 experiment properties",
+        f"Running on {(record.get('platform') or 'unknown').split()[0]}",
+        f"Starting at {record.get('date_utc') or 'unknown'}",
+        *("<<<|", *(f"{name} = {value}" for name, value in settings.items()), "|>>>"),
+        *("<<<|", record.get("cpu_model") or "unknown", "|>>>"),
+        f"{min(row.seed for row in rows)} is the random seed",
+        f"{settings.get('cutoff_s') or 'inf'} seconds per run",
+        "inf MB per run",
+        f"{max(map(len, runs.values()))} runs per planner",
+        f"{sum(row.t_total_s or 0.0 for row in rows)} seconds spent to collect the data",
+        "1 enum type",
+        "|".join(("status", *STATUSES)),
+        f"{len(runs)} planners",
+    ]
+    for planner, own in runs.items():
+        lines += [planner, "0 common properties", f"{len(PROPERTIES)} properties for each run", *PROPERTIES]
+        lines += [f"{len(own)} runs", *map(_run_line, own), "."]
+    return "\n".join(lines) + "\n"
+
+
+def _order(row: ResultRow) -> tuple[str, str]:
+    return row.planner, row.problem
+
+
+def _run_line(row: ResultRow) -> str:
+    """Every value followed by "; "; nothing where it is undefined."""
+    values = (value_of(row) for value_of in PROPERTIES.values())
+    return "".join(f"{'' if value is None else str(value).replace(';', ',')}; " for value in values)

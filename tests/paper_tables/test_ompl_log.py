@@ -1,0 +1,66 @@
+"""OMPL's own statistics script reads the log that a run is written as."""
+
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from made_rows import a_failure, a_row
+from ompl.base import PlannerStatus
+
+from cli.main import main
+from cvqmpt_lab.results.store import RunStore
+from paper_tables.ompl_log import STATUS_OF, STATUSES
+
+SCRIPT = Path(sys.executable).parent / "ompl_benchmark_statistics"
+ROWS = (
+    a_row(t_total_s=2.5, t_simplify_s=0.5, path_length_raw_rad=9.0, path_length_rad=8.0, vertices=40),
+    a_row(problem="a; b", t_total_s=1.0, n_projections=7, n_state_checks=9, min_clearance_m=-0.001),
+    a_failure(planner="mpnet", t_total_s=10.0),
+    a_failure(planner="mpnet", problem="p2", fail_reason="uncertified_collision"),
+)
+
+
+@pytest.fixture
+def database(tmp_path):
+    """What the script makes of ROWS."""
+    session = {"platform": "Linux-6 of a lab", "date_utc": "2026-01-02T03:04:05+00:00", "versions": {}}
+    with RunStore.open(
+        tmp_path / "run", {"suite": "place", "cutoff_s": 10.0, "iterations": None}, session
+    ) as store:
+        store.append(ROWS)
+    assert main(["table", str(tmp_path / "run"), "--ompl-log", str(tmp_path / "run.log")]) == 0
+    subprocess.run([SCRIPT, "-d", tmp_path / "run.db", tmp_path / "run.log"], check=True, capture_output=True)
+    with sqlite3.connect(tmp_path / "run.db") as connection:
+        yield connection
+
+
+def test_every_row_is_a_run_of_its_planner(database):
+    found = database.execute(
+        """SELECT plannerConfigs.name, problem, seed, solved, status, fail_reason, time, simplification_time,
+        solution_length, simplified_solution_length, graph_states, projections, state_checks, clearance
+        FROM runs JOIN plannerConfigs ON plannerid = plannerConfigs.id ORDER BY runs.id"""
+    ).fetchall()
+    assert found == [
+        ("birrt", "a, b", 0, 1, 6, None, 1.0, None, None, None, None, 7, 9, -0.001),
+        ("birrt", "place_0", 0, 1, 6, None, 2.0, 0.5, 9.0, 8.0, 40, None, None, None),
+        ("mpnet", "p2", 0, 0, 0, "uncertified_collision", None, None, None, None, None, None, None, None),
+        ("mpnet", "place_0", 0, 0, 4, "timeout", 10.0, None, None, None, None, None, None, None),
+    ]
+
+
+def test_the_experiment_and_the_views_over_it(database):
+    (experiment,) = database.execute("SELECT name, totaltime, timelimit, runcount, hostname FROM experiments")
+    assert experiment == ("place", 13.5, 10.0, 2, "Linux-6")
+    best = database.execute("SELECT avg_solved FROM bestPlannerConfigs").fetchall()
+    assert best == [(1.0,), (0.0,)]
+
+
+def test_statuses_are_those_of_ompl():
+    kinds = ("UNKNOWN", "INVALID_START", "INVALID_GOAL", "TIMEOUT", "EXACT_SOLUTION", "CRASH")
+    theirs = {PlannerStatus(getattr(PlannerStatus, kind)).asString(): kind for kind in kinds}
+    assert set(STATUS_OF.values()) <= set(theirs)
+    assert [getattr(PlannerStatus, kind).value for kind in theirs.values()] == list(
+        map(STATUSES.index, theirs)
+    )
