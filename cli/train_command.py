@@ -11,6 +11,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
+from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.runner import STAGES, Request, run_training
 
 SIGHT = "sight"
@@ -90,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
     outcome = run_training(
         request, lambda tick: bar(tick.done, tick.total, f"epoch {tick.epoch + 1}, loss {tick.loss:.4f}")
     )
+    if not Ranks.joined().is_first:
+        return 0
     last = outcome.progress.rows[-1] if outcome.progress.rows else {}
     for name, value in last.items():
         print(f"{name:40} {'' if value is None else format(value, '.6g')}")

@@ -4,11 +4,15 @@ import contextlib
 import fcntl
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, shown
+
+TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
+"""Names that `replacing` gives."""
 
 
 @contextlib.contextmanager
@@ -70,7 +74,7 @@ def require_regular_file(path: Path, what: str = "file") -> Path:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's advisory lock; InvalidInputError when another process does."""
+    """Hold a folder's advisory lock, as `lock` takes it."""
     handle = lock(folder)
     try:
         yield
@@ -80,6 +84,8 @@ def locked(folder: Path) -> Iterator[None]:
 
 def lock(folder: Path) -> int:
     """Take a folder's advisory lock, so that two processes never write into it; return its handle.
+
+    Temporary files that killed writers left in the folder are removed.
 
     Raises
     ------
@@ -93,7 +99,11 @@ def lock(folder: Path) -> int:
         os.close(handle)
         raise InvalidInputError(f"{folder} is in use by another run; wait or use another folder") from None
     except OSError:
-        pass  # a file system without locks: go on without one
+        return handle  # a file system without locks: go on without one
+    for path in Path(folder).rglob(".*.tmp"):
+        if TEMPORARY.fullmatch(path.name):
+            with contextlib.suppress(OSError):
+                path.unlink()
     return handle
 
 

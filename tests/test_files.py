@@ -4,6 +4,7 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import (
+    locked,
     make_folder,
     read_bytes,
     read_json_object,
@@ -44,6 +45,19 @@ def test_what_fails_while_writing_is_not_moved_into_place(tmp_path):
         temporary.write_text("half")
         raise RuntimeError
     assert names(tmp_path) == []
+
+
+def test_who_locks_a_folder_clears_what_killed_writers_left_in_it_and_nothing_else(tmp_path):
+    (tmp_path / "shards").mkdir()
+    with replacing(tmp_path / "shards" / "a.npz") as temporary:
+        temporary.touch()
+    temporary.write_text("half")
+    (tmp_path / "shards" / "a.npz").unlink()
+    for name in ("a.npz", ".mine.tmp", ".git"):
+        (tmp_path / name).write_text("whole")
+    with locked(tmp_path):
+        assert sorted(names(tmp_path)) == [".git", ".mine.tmp", "a.npz", "shards"]
+        assert names(tmp_path / "shards") == []
 
 
 def test_errors_name_the_path(tmp_path):

@@ -107,6 +107,17 @@ def _move_into_place(source: Path, target: Path) -> None:
     shutil.rmtree(aside, ignore_errors=True)
 
 
+def recover_weights(folder: Path) -> None:
+    """Finish what a killed `write_weights` left beside `folder`; only for who alone writes there."""
+    for aside in folder.parent.glob(f".{folder.name}.previous-*"):
+        if folder.exists():
+            shutil.rmtree(aside, ignore_errors=True)
+        else:
+            aside.rename(folder)
+    for beside in folder.parent.glob(f".{folder.name}.partial-*"):
+        shutil.rmtree(beside, ignore_errors=True)
+
+
 def checkpoint_folder(folder: Path) -> Path | None:
     """A folder of weights: this one, or the ``model`` that a training left in it; None when it is neither."""
     for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):

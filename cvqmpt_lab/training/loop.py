@@ -5,10 +5,12 @@ stopped and continued takes the same steps as one that was not.
 """
 
 import math
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,9 @@ from torch.utils.data import DataLoader
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.checkpoint import save_checkpoint
+from cvqmpt_lab.orphans import end_with_parent
 from cvqmpt_lab.training.interrupts import interruptible
+from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.run_folder import Progress, RunFolder
 from cvqmpt_lab.training.scene_batches import batch_seed
 from cvqmpt_lab.training.stage import Batch, Stage
@@ -36,6 +40,8 @@ class Limits:
     """From now; None for no limit."""
     workers: int = 0
     """Processes that prepare batches."""
+    ranks: Ranks = field(default_factory=Ranks)
+    """Processes that train together."""
 
 
 @dataclass(frozen=True)
@@ -76,23 +82,24 @@ def train(
         After Ctrl-C (or SIGTERM), once saved.
     """
     training = _Training(stage, folder, limits, metadata)
-    progress = training.progress
+    progress, agreed = training.progress, limits.ranks.mean
     with interruptible() as interrupted:
         while progress.epoch < limits.epochs:
             for tick in training.epoch():
                 report(tick)
-                over = training.is_over() and not training.epoch_is_done
-                if interrupted or over or training.should_save():
+                stop, over = agreed(bool(interrupted), training.is_over() and not training.epoch_is_done)
+                if stop or over or training.should_save():
                     training.save_state()
-                if interrupted:
+                if stop:
                     raise KeyboardInterrupt
                 if over:
                     training.keep_if_best(training.validate(), progress.epoch)
                     return TrainingEnd(False, progress)
             training.end_epoch()
-            if interrupted:
+            stop, over = agreed(bool(interrupted), training.is_over())
+            if stop:
                 raise KeyboardInterrupt
-            if training.is_over() and progress.epoch < limits.epochs:
+            if over and progress.epoch < limits.epochs:
                 return TrainingEnd(False, progress)
     return TrainingEnd(True, progress)
 
@@ -108,6 +115,7 @@ class _Training:
             progress = Progress()
             torch.manual_seed(stage.seed)
             stage.prepare()
+            limits.ranks.share_weights(stage.module)
         self.progress = progress
         self._began = self._saved = time.perf_counter()
         self._already = progress.seconds
@@ -116,19 +124,24 @@ class _Training:
 
     def epoch(self) -> Iterator[Tick]:
         """Take the steps of what is left of an epoch."""
-        stage, progress = self.stage, self.progress
+        stage, progress, ranks = self.stage, self.progress, self.limits.ranks
         batches = stage.batches(progress.epoch)
-        total = len(batches)  # type: ignore[arg-type]
+        total = len(batches) // ranks.count  # type: ignore[arg-type]
+        if not total:
+            raise InvalidInputError(
+                f"an epoch has fewer batches than the {ranks.count} processes; start fewer"
+            )
+        mine = range(progress.batch * ranks.count + ranks.rank, total * ranks.count, ranks.count)
         loader = DataLoader(
             batches,
             batch_size=None,
-            sampler=range(progress.batch, total),
+            sampler=mine,
             num_workers=self.limits.workers,
-            worker_init_fn=_ignore_interrupts,
+            worker_init_fn=partial(_begin_worker, os.getpid()),
         )
         stage.module.train()
-        for batch in loader:
-            seed = batch_seed(stage.seed, progress.epoch, progress.batch).spawn(1)[0]
+        for number, batch in zip(mine, loader, strict=True):
+            seed = batch_seed(stage.seed, progress.epoch, number).spawn(1)[0]
             torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
             rate = stage.optimizer.rate_at(progress.step + 1, self.limits.epochs * total)
             losses = self._step({name: part.to(stage.device) for name, part in batch.items()}, rate)
@@ -153,10 +166,12 @@ class _Training:
                 f"batch {self.progress.batch + 1}; lower optimizer.rate and begin in another --out"
             )
         losses["loss"].backward()
+        self.limits.ranks.average_gradients(self.stage.module.parameters())
         if self.stage.optimizer.clip is not None:
             nn.utils.clip_grad_norm_(self.stage.module.parameters(), self.stage.optimizer.clip)
         self.optimizer.step()
-        return {name: float(value.detach()) for name, value in losses.items()}
+        values = self.limits.ranks.mean(*(float(value.detach()) for value in losses.values()))
+        return dict(zip(losses, values, strict=True))
 
     def is_over(self) -> bool:
         """Out of minutes."""
@@ -168,7 +183,8 @@ class _Training:
 
     def save_state(self) -> None:
         """Write everything needed to continue."""
-        self.folder.save_state(self.progress, self.stage.module, self.optimizer)
+        if self.limits.ranks.is_first:
+            self.folder.save_state(self.progress, self.stage.module, self.optimizer)
         self._saved = time.perf_counter()
 
     def end_epoch(self) -> None:
@@ -182,18 +198,21 @@ class _Training:
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self.keep_if_best(row, progress.epoch)
-        self.folder.save_curves(progress.rows, self.stage.panels)
+        if self.limits.ranks.is_first:
+            self.folder.save_curves(progress.rows, self.stage.panels)
         self.save_state()
 
     def validate(self) -> dict[str, float | None]:
-        """Values of the held-out paths, named as in the curves."""
+        """Values of the held-out paths, named as in the curves; none but in the first of processes."""
+        if not self.limits.ranks.is_first:
+            return {}
         self.stage.module.eval()
         with torch.no_grad():
             return {f"validation_{name}": value for name, value in self.stage.validate().items()}
 
     def keep_if_best(self, row: Mapping[str, float | None], epoch: int) -> float | None:
         """Save the model if it is the best so far; the least selecting value so far."""
-        value, best = row[self.stage.selection], self.progress.best
+        value, best = row.get(self.stage.selection), self.progress.best
         if value is None or (best is not None and value >= best):
             return best
         losses = {**row, "epoch": epoch, "step": self.progress.step}
@@ -202,6 +221,7 @@ class _Training:
         return value
 
 
-def _ignore_interrupts(worker: int) -> None:
+def _begin_worker(parent: int, number: int) -> None:
+    end_with_parent(parent)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)

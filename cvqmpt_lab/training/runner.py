@@ -9,12 +9,14 @@ import torch
 
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import locked, make_folder
 from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.weights_folder import checkpoint_folder, weights_digest
+from cvqmpt_lab.models.weights_folder import checkpoint_folder, recover_weights, weights_digest
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.loop import Limits, Tick, TrainingEnd, train
 from cvqmpt_lab.training.mpnet import MPNetStage
 from cvqmpt_lab.training.profiles import Profile
+from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.run_folder import RunFolder
 from cvqmpt_lab.training.stage import Stage
 from cvqmpt_lab.training.stage1 import Stage1
@@ -78,15 +80,20 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
     Raises
     ------
     InvalidInputError, UnknownChoiceError
-        Before anything is written when data, dictionary or folder cannot be used.
+        Before anything is written when data, dictionary or folder cannot be used, or another training uses the
+        folder; or when `torchrun` starts several processes for a stage whose steps share more than gradients.
     """
     if request.stage not in STAGES:
         raise UnknownChoiceError("stage", request.stage, STAGES)
     if request.dictionary is not None and request.stage != "stage2":
         raise InvalidInputError(f"{request.stage} takes no dictionary; leave it out")
-    device = _device(request.device)
+    ranks, device = Ranks.joined(), _device(request.device)
     dataset = open_dataset(request.data, verify=request.verify)
     stage = STAGES[request.stage](request, dataset, device)
+    if ranks.count > 1 and not stage.shares_gradients_alone:
+        raise InvalidInputError(
+            f"{request.stage} is trained by one process, not {ranks.count}; leave torchrun out"
+        )
     plain = to_plain(request.profile, complete=True)
     epochs = request.epochs or plain[request.stage].pop("epochs")
     plain[request.stage].pop("epochs", None)
@@ -98,11 +105,12 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
         "data_sha256": dataset.sha256,
         "seed": request.seed,
     }
+    if ranks.count > 1:
+        settings["processes"] = ranks.count
     if request.dictionary is not None:
         settings["dictionary_sha256"] = weights_digest(
             checkpoint_folder(request.dictionary) or request.dictionary
         )
-    folder = RunFolder(request.out, settings)
     chain = None if dataset.chain is None else to_plain(dataset.chain)
     metadata = {
         **settings,
@@ -111,8 +119,16 @@ def run_training(request: Request, report: Callable[[Tick], None] = lambda tick:
         "validation_paths": len(dataset.split("validation")),
         **request.metadata,
     }
-    limits = Limits(epochs=epochs, minutes=request.minutes, workers=request.workers)
-    return train(stage, folder, limits, metadata, report)
+    limits = Limits(epochs=epochs, minutes=request.minutes, workers=request.workers, ranks=ranks)
+    if not ranks.is_first:
+        ranks.wait()  # until the first has made the folder
+        return train(stage, RunFolder(request.out, settings), limits, metadata)
+    make_folder(request.out)
+    with locked(request.out):
+        folder = RunFolder(request.out, settings)
+        recover_weights(folder.model)
+        ranks.wait()
+        return train(stage, folder, limits, metadata, report)
 
 
 _MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model"}

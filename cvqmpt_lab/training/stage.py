@@ -30,6 +30,8 @@ class Stage(ABC):
     panels: ClassVar[Mapping[str, tuple[str, ...]]]
     """Title to columns, of the picture of curves."""
 
+    shares_gradients_alone: ClassVar[bool] = False
+    """Whether processes may train it together by averaging gradients: nothing else depends on past batches."""
     module: nn.Module
     """What the optimizer changes and the state keeps."""
 
@@ -109,6 +111,8 @@ class HeldOut:
 
 class SceneStage(Stage):
     """A training on paths with the clouds of their scenes."""
+
+    shares_gradients_alone = True
 
     def __init__(
         self, dataset: PathDataset, settings: SceneStageSettings, seed: int, device: torch.device

@@ -331,6 +331,25 @@ def test_a_full_disk_is_one_line_and_keeps_the_earlier_state(tmp_path, monkeypat
     assert [p.name for p in (tmp_path / "r").iterdir()] == ["training.json"]
 
 
+def test_a_second_training_in_the_folder_is_refused(tmp_path, data):
+    def second(tick):
+        with pytest.raises(InvalidInputError, match=r"s1 is in use by another run"):
+            go("stage1", data, tmp_path / "s1", epochs=1)
+
+    assert go("stage1", data, tmp_path / "s1", report=second, epochs=1).finished
+
+
+def test_a_training_killed_while_it_replaces_its_model_gets_it_back(tmp_path, data):
+    whole = tmp_path / "s1"
+    go("stage1", data, whole, epochs=1)
+    before = weights(whole)
+    (whole / "model").rename(whole / ".model.previous-123")
+    (whole / ".model.partial-123").mkdir()
+    go("stage1", data, whole, epochs=1)
+    assert weights(whole) == before
+    assert not list(whole.glob(".*"))
+
+
 # ---------------------------------------------------------------- profiles, command line, small parts
 
 

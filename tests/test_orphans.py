@@ -5,12 +5,12 @@ import os
 
 import pytest
 
-from experiments.workers import _end_with_parent
+from cvqmpt_lab.orphans import end_with_parent
 
 
 @pytest.mark.parametrize(("off", "code"), [(0, 0), (1, 1)])
 def test_a_worker_whose_parent_is_another_by_now_ends_at_once(off, code):
-    worker = multiprocessing.get_context("fork").Process(target=_end_with_parent, args=(os.getpid() + off,))
+    worker = multiprocessing.get_context("fork").Process(target=end_with_parent, args=(os.getpid() + off,))
     worker.start()
     worker.join(20)
     assert worker.exitcode == code
