@@ -8,12 +8,8 @@ from cli.options import ProgressBar, writable_file
 from experiments import regression
 from experiments.regression import EXPECTED, Expectations, compare, made_with, measure
 from experiments.run import models_of
-from paper_tables.committed import (
-    RESULTS,
-    committed_directories,
-    differing_cells,
-    untraceable,
-)
+from paper_tables.claims_page import committed_pages, stale_pages
+from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable
 
 EXAMPLES = ("cvqmpt check-tables", "cvqmpt check-tables --update")
 
@@ -50,10 +46,12 @@ def run(args: argparse.Namespace) -> int:
     origins = [line for folder in directories for line in untraceable(folder, models_of)]
     print(f"runs compared {comparison.mode}: {_verdict(comparison.differences)}")
     print(f"tables of {len(directories)} results directories rendered anew: {_verdict(cells)}")
+    pages = stale_pages(committed_pages()) if args.results == RESULTS else []
     print(f"commits and weights of their rows: {_verdict(origins)}")
-    for line in (*comparison.differences, *cells, *origins):
+    print(f"the page of claims and the README's verdicts: {_verdict(pages)}")
+    for line in (*comparison.differences, *cells, *origins, *pages):
         print(f"  differs: {line}")
-    return 1 if comparison.differences or cells or origins else 0
+    return 1 if comparison.differences or cells or origins or pages else 0
 
 
 def _verdict(differences: tuple[str, ...] | list[str]) -> str:

@@ -7,6 +7,7 @@ from cvqmpt_lab.results.statistics import UNDEFINED
 from paper_tables.cells import Lines, bounds, latex_table, markdown_table, number
 from paper_tables.comparison import RATIOS, REFERENCE, split_metric
 from paper_tables.paper_numbers import PublishedValue
+from paper_tables.place_task_statements import place_verdicts
 from paper_tables.place_task_summary import (
     EFFORT,
     HEADLINES,
@@ -18,6 +19,7 @@ from paper_tables.place_task_summary import (
     build_place_table,
     curve_metric,
 )
+from paper_tables.statements import statement_lines
 from paper_tables.summary import (
     BriefColumn,
     PlannerSummary,
@@ -36,23 +38,26 @@ BRIEF = (
 
 
 def render_place(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
-    """The rows of one suite in all forms."""
+    """The rows of one suite in all forms; sentences of the paper are judged where its numbers stand beside ours."""
+    rows = list(rows)
     table = build_place_table(rows, published)
+    said = statement_lines(place_verdicts(rows, published)) if published else []
     return Rendered(
         size=f"{table.n_problems} problems",
-        markdown=render_markdown(table),
+        markdown=render_markdown(table, said),
         latex=render_latex(table),
         csv=csv_of(table.suite, table.planners, METRICS),
         brief=brief_lines(table.planners, BRIEF),
     )
 
 
-def render_markdown(table: PlaceTable) -> str:
-    """Headlines, effort, comparisons, time curve, fallbacks, failures and notes."""
+def render_markdown(table: PlaceTable, said: Lines = ()) -> str:
+    """Headlines, what the paper says of them, effort, comparisons, time curve, fallbacks, failures and notes."""
     effort, cost = ({name: METRICS[name].label for name in names} for names in (EFFORT, PAPER_COST))
     curve = {curve_metric(time): f"{time:g} s" for time in table.curve_times}
     parts: dict[str, str] = {
         f"{table.n_problems} problems": markdown_table(_headline_lines(table)),
+        "What the paper says": markdown_table(said) if len(said) > 1 else "",
         "Effort (medians)": markdown_table(metric_lines(table.planners, effort)),
         "At the paper's cost of work": markdown_table(metric_lines(table.planners, cost)),
         f"Against {REFERENCE}": markdown_table(_split_lines(table)) if table.n_easy else "",

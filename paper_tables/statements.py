@@ -1,13 +1,17 @@
 """Sentences of the paper about its numbers, judged by its own table and by ours."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval
+from cvqmpt_lab.results.statistics import Interval, wilson_interval
 from paper_tables.cells import Lines, estimate
 from paper_tables.comparison import Value, paired_ratio
 from paper_tables.paper_numbers import PublishedValue
+
+NOTHING = "–"
+"""The baseline of a share, which is of nothing but itself."""
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,24 @@ class Statement:
     reduction: float
     planner: str = "opt-cvq-mpt"
     baselines: tuple[str, ...] = ("ompl-projected", "atlas-rrt", "tb-rrt")
+    published: str | None = None
+    """The paper's metric, where ours has another name."""
+
+
+class Ruling(StrEnum):
+    """What an interval says of a stated number."""
+
+    CONFIRMED = "confirmed"
+    COMPATIBLE = "compatible: the interval contains it"
+    LESS = "less than stated"
+    MORE = "not confirmed: more of it"
+    UNCLEAR = "not confirmed: no clear difference"
+    UNJUDGED = "not judged: too few that both solved"
+
+    @property
+    def holds(self) -> bool:
+        """Whether the statement can stand."""
+        return self in (Ruling.CONFIRMED, Ruling.COMPATIBLE)
 
 
 @dataclass(frozen=True)
@@ -31,8 +53,7 @@ class Verdict:
     """What the paper's own numbers say, as a fraction."""
     ours: Interval
     """What ours say."""
-    verdict: str
-    """In words."""
+    ruling: Ruling
 
 
 def judged(
@@ -58,8 +79,21 @@ def statement_lines(verdicts: Sequence[Verdict]) -> Lines:
         paper = "–" if item.paper is None else f"{100.0 * item.paper:.1f}"
         text = f"{item.statement.planner} {item.statement.text}"
         ours = item.ours.scaled(100.0)
-        lines.append([text, item.baseline, paper, estimate(ours), str(ours.n), item.verdict])
+        lines.append([text, item.baseline, paper, estimate(ours), str(ours.n), item.ruling])
     return lines
+
+
+def judged_share(
+    statement: Statement, rows: Sequence[ResultRow], counted: Callable[[ResultRow], bool]
+) -> tuple[Verdict, ...]:
+    """The verdict on a share of the planner's rows that is at least `reduction`; none where it was not run."""
+    own = [row for row in rows if row.planner == statement.planner]
+    ours = wilson_interval(sum(map(counted, own)), len(own))
+    if ours.low is None or ours.high is None:
+        return ()
+    reached = Ruling.CONFIRMED if ours.low >= statement.reduction else Ruling.COMPATIBLE
+    said = reached if ours.high >= statement.reduction else Ruling.LESS
+    return (Verdict(statement, NOTHING, statement.reduction, ours, said),)
 
 
 def _verdict(
@@ -70,7 +104,8 @@ def _verdict(
     value: Value,
 ) -> Verdict:
     """The ratio over problems and seeds that both solved."""
-    numbers = {item.planner: float(item.value) for item in published if item.metric == statement.metric}
+    metric = statement.published or statement.metric
+    numbers = {item.planner: float(item.value) for item in published if item.metric == metric}
     paper = None
     if statement.planner in numbers and baseline in numbers:
         paper = 1.0 - numbers[statement.planner] / numbers[baseline]
@@ -79,21 +114,23 @@ def _verdict(
         [row for row in rows if row.planner == baseline],
         value,
     )
-    ours = Interval(_less(ratio.estimate), _less(ratio.high), _less(ratio.low), ratio.n)
-    return Verdict(statement, baseline, paper, ours, _in_words(statement, ours))
+    return Verdict(statement, baseline, paper, ours := less(ratio), ruling(ours, statement.reduction))
 
 
-def _less(ratio: float | None) -> float | None:
-    return None if ratio is None else 1.0 - ratio
+def less(ratio: Interval) -> Interval:
+    """How much less of something a ratio means, as a fraction."""
+    estimate, low, high = (None if x is None else 1.0 - x for x in (ratio.estimate, ratio.high, ratio.low))
+    return Interval(estimate, low, high, ratio.n)
 
 
-def _in_words(statement: Statement, ours: Interval) -> str:
+def ruling(ours: Interval, stated: float) -> Ruling:
+    """What is said of a stated reduction (a fraction) by a measured one."""
     if ours.estimate is None or ours.low is None or ours.high is None:
-        return "not judged: too few that both solved"
-    if ours.low > 0.0 and ours.low >= statement.reduction:
-        return "confirmed"
-    if statement.reduction > 0.0 and ours.high >= statement.reduction:
-        return "compatible: the interval contains it"
+        return Ruling.UNJUDGED
+    if ours.low > 0.0 and ours.low >= stated:
+        return Ruling.CONFIRMED
+    if stated > 0.0 and ours.high >= stated:
+        return Ruling.COMPATIBLE
     if ours.low > 0.0:
-        return "less than stated"
-    return "not confirmed: more of it" if ours.high < 0.0 else "not confirmed: no clear difference"
+        return Ruling.LESS
+    return Ruling.MORE if ours.high < 0.0 else Ruling.UNCLEAR

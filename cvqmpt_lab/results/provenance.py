@@ -33,6 +33,7 @@ _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
     "git_dirty": bool | None,
     "cpu_count": int | None,
+    "wall_s": float,
     "weights": Mapping[str, Any],
 }
 """What fields of a session are that others read."""
@@ -196,6 +197,13 @@ class ProvenanceFile:
         """List a later session (its commit, machine, date, ...) under ``continued``."""
         record = self.read()
         self._write({**record, "continued": [*record.get("continued", []), dict(session)]})
+
+    def add_wall_clock(self, seconds: float) -> None:
+        """Say how long the last session took [s]."""
+        record = self.read()
+        *earlier, last = sessions(record)
+        told = {**last, "wall_s": round(seconds, 1)}
+        self._write({**record, "continued": [*earlier[1:], told]} if earlier else told)
 
     def _write(self, record: Mapping[str, object]) -> None:
         write_text(self.path, _json_text(record) + "\n")

@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -41,6 +42,7 @@ class RunStore:
         self.directory = directory
         self._lock: int | None = lock
         self._later_session = later_session  # of a continuation, written with its first row
+        self._began, self._appended = time.monotonic(), False
         self._partials: dict[str, io.FileIO] = {}
         self._rows: dict[RunKey, ResultRow] = {}
 
@@ -134,6 +136,7 @@ class RunStore:
         if self._later_session is not None:
             ProvenanceFile(self.directory).add_continuation(self._later_session)
             self._later_session = None
+        self._appended = True
         self._rows |= {row.key: row for row in rows}
         try:
             if paths:
@@ -162,6 +165,8 @@ class RunStore:
             for handle in self._partials.values():
                 handle.close()
             self._merge()
+            if self._appended:
+                ProvenanceFile(self.directory).add_wall_clock(time.monotonic() - self._began)
         finally:
             unlock(lock)
 

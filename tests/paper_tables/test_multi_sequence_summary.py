@@ -50,10 +50,8 @@ def test_the_table_sums_the_papers_phases_and_judges_its_statements():
     verdicts = {(v.statement.metric, v.baseline): v for v in table.verdicts}
     planning = verdicts["planning_time", "ompl-projected"]
     assert planning.paper == pytest.approx(1 - 10.98 / 19.71) and planning.ours.n == 6
-    assert planning.ours.estimate == pytest.approx(0.51, abs=0.01) and planning.verdict.startswith(
-        "confirmed"
-    )
-    assert verdicts["execution_time", "ompl-projected"].verdict == "less than stated"
+    assert planning.ours.estimate == pytest.approx(0.51, abs=0.01) and planning.ruling.startswith("confirmed")
+    assert verdicts["execution_time", "ompl-projected"].ruling == "less than stated"
     assert ("execution_time", "atlas-rrt") not in verdicts
     made = render_multi_sequence(rows, published)
     assert "| 19.71" in made.markdown and r"\toprule" in made.latex and max(map(len, made.brief)) <= 100
@@ -63,7 +61,7 @@ def test_the_table_sums_the_papers_phases_and_judges_its_statements():
 def test_a_verdict_needs_tasks_that_both_solved():
     rows = made_up("opt-cvq-mpt", 0, 0.5, 9.0) + made_up("tb-rrt", 1, 1.0, 10.0)
     verdicts = build_phases_table(rows, ()).verdicts
-    assert len(verdicts) == 2 and all(item.verdict.startswith("not judged") for item in verdicts)
+    assert len(verdicts) == 2 and all(item.ruling.startswith("not judged") for item in verdicts)
 
 
 def test_fallbacks_are_counted_by_phase_and_by_task():

@@ -33,7 +33,11 @@ def test_store_continues_and_replaces_repeated_keys(tmp_path):
         store.append([a_row("p1", t_total_s=0.5)])
         store.append([a_row("p0")])
     assert [(r.problem, r.solved) for r in read_rows(tmp_path / RUNS_FILE)] == [("p0", True), ("p1", True)]
-    assert ProvenanceFile(tmp_path).read()["continued"] == [{"git_commit": "abc"}]
+    record = ProvenanceFile(tmp_path).read()
+    assert [{**later, "wall_s": None} for later in record["continued"]] == [
+        {"git_commit": "abc", "wall_s": None}
+    ]
+    assert record["wall_s"] >= 0.0 and record["continued"][0]["wall_s"] >= 0.0
 
 
 def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):

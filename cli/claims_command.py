@@ -1,0 +1,49 @@
+"""`cvqmpt claims`: judge every claim of the paper by rows, and write the page that says so."""
+
+import argparse
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import write_text
+from paper_tables.claims import judged_claims
+from paper_tables.claims_page import PAGE, committed_pages, page_text
+from paper_tables.committed import RESULTS, committed_directories
+
+PAGE_NAME = "claims.md"
+EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Whose rows."""
+    parser.add_argument(
+        "results",
+        type=Path,
+        nargs="?",
+        metavar="DIR",
+        help=f"folder of results directories, where {PAGE_NAME} goes (the committed ones; their page is "
+        "paper_tables/README.md, and the README gets its short form)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Judge, write and say the verdicts."""
+    pages = committed_pages() if args.results is None else pages_of(args.results)
+    for path, text in pages.items():
+        write_text(path, text)
+    print("\n".join(verdict_lines(args.results or RESULTS)))
+    print(f"written {PAGE if args.results is None else args.results / PAGE_NAME}")
+    return 0
+
+
+def pages_of(results: Path) -> dict[Path, str]:
+    """The page of a folder of results directories."""
+    if not committed_directories(results):
+        raise InvalidInputError(
+            f"{results} holds no results directories; name a folder that does, such as runs/all"
+        )
+    return {results / PAGE_NAME: page_text(results, results)}
+
+
+def verdict_lines(results: Path) -> list[str]:
+    """A line a claim."""
+    return [f"{item.verdict:22} {item.claim.title}" for item in judged_claims(results)]

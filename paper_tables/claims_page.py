@@ -1,0 +1,213 @@
+"""The page that says whether the paper holds, and its short form for the README, written from committed rows."""
+
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_text
+from cvqmpt_lab.results.provenance import sessions
+from cvqmpt_lab.results.statistics import Interval
+from paper_tables.cells import Lines, estimate, markdown_table
+from paper_tables.claims import Evidence, JudgedClaim, judged_claims, read_evidence
+from paper_tables.committed import RESULTS
+from paper_tables.comparison import own_time, paired_ratio, paper_cost, share, work
+from paper_tables.paper_numbers import PUBLISHED, read_published
+from paper_tables.place_task_statements import VALUES
+from paper_tables.statements import NOTHING, Verdict, less, statement_lines
+from paper_tables.summary import by_planner
+
+PAGE = PUBLISHED.parent / "README.md"
+README = PUBLISHED.parent.parent / "README.md"
+BEGIN, END = "<!-- verdicts: written by cvqmpt claims -->", "<!-- end of verdicts -->"
+SHOWN_PLANNER = "opt-cvq-mpt"
+WORDS = {
+    "time": "time",
+    "paper_cost": "time at the paper's cost",
+    "path_length": "length",
+    "planning_time": "time",
+    "execution_time": "time",
+    "g": "G",
+    "accuracy": "solved",
+    "true_free": "free in truth",
+}
+YARDSTICKS = (
+    ("time", "ompl-projected", VALUES["time"]),
+    ("time at the paper's cost", "ompl-projected", paper_cost),
+    ("path length", "ompl-projected", VALUES["path_length"]),
+    ("time without goals", "birrt", own_time),
+    ("work", "birrt", work),
+    ("time at the paper's cost", "birrt", paper_cost),
+    ("path length", "birrt", VALUES["path_length"]),
+)
+TERMS = (
+    "`ompl-projected` is the paper's CBiRRT as the paper ran it: OMPL's RRTConnect on a projected space. `birrt` is "
+    "our own search (the paper's Algorithm 3) with uniform samples, the same search that `cvq-mpt` and `opt-cvq-mpt` "
+    "use.",
+    "A change is the geometric mean, over problems that both planners solved, of how much more or less, with a 95 % "
+    "bootstrap interval; n counts problems. Shares have Wilson intervals.",
+    "*Work*: projections and state checks. *The paper's cost of work*: the same counts at 3.5 ms a state check "
+    "and 0.02 ms a projection, as in the paper's simulator, plus networks as measured here.",
+    "A claim *holds* where every statement below it is confirmed or compatible, *in part* where some are.",
+)
+
+
+def change(reduction: Interval) -> str:
+    """A reduction (fraction) as a signed change [%]."""
+    middle, low, high = (
+        None if x is None else 0.0 - 100.0 * x for x in (reduction.estimate, reduction.high, reduction.low)
+    )
+    flipped = Interval(middle, low, high, reduction.n)
+    sign = "+" if (flipped.estimate or 0.0) > 0.0 else ""
+    return sign + estimate(flipped).replace("-", "−")
+
+
+def shown(judged: JudgedClaim) -> list[Verdict]:
+    """What stands for all verdicts on a claim in the short table."""
+    return [
+        verdict
+        for metric, baseline in judged.claim.shown
+        for verdict in judged.verdicts
+        if (verdict.statement.metric, verdict.baseline) == (metric, baseline)
+        and verdict.statement.planner == SHOWN_PLANNER
+    ]
+
+
+def _told(verdict: Verdict) -> str:
+    word = WORDS.get(verdict.statement.metric, verdict.statement.metric)
+    if verdict.baseline == NOTHING:
+        return f"{estimate(verdict.ours.scaled(100.0))} % {word}"
+    against = f"`{verdict.baseline}`" if " " not in verdict.baseline else verdict.baseline
+    return f"{word} {change(verdict.ours)} % against {against}"
+
+
+def box_lines(claims: Iterable[JudgedClaim]) -> Lines:
+    """A line a claim."""
+    lines = [["CVQ-MPT …", "paper", "here, Opt-CVQ-MPT [95 % interval]", "n", "verdict"]]
+    for item in claims:
+        told = shown(item)
+        sizes = "; ".join(dict.fromkeys(str(verdict.ours.n) for verdict in told)) or NOTHING
+        here = "; ".join(map(_told, told)) or NOTHING
+        lines.append([item.claim.title, item.claim.paper, here, sizes, f"**{item.verdict}**"])
+    return lines
+
+
+def page_text(results: Path, root: Path) -> str:
+    """The page; links go from the folder `root`."""
+    claims = judged_claims(results)
+    parts = [
+        "# Does the paper hold?\n",
+        "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained Motion Planning "
+        "Transformers Using Learned Sampling Dictionaries* (Johnson, Qureshi, Yip) says that CVQ-MPT …\n",
+        markdown_table(box_lines(claims)),
+        "## How to read it\n",
+        "".join(f"- {line}\n" for line in TERMS),
+        *(section(item, root) for item in claims),
+    ]
+    place = read_evidence(results / "place-task")
+    if place is not None:
+        parts += ["## Every planner by the same yardsticks, place task\n", markdown_table(yardsticks(place))]
+    return "\n".join(parts)
+
+
+def section(item: JudgedClaim, root: Path) -> str:
+    """One claim: verdict, why, evidence, and what makes it."""
+    parts = [f"## CVQ-MPT {item.claim.title}: {item.verdict}\n"]
+    parts += [f"The paper: {item.claim.paper}. {item.claim.remark}\n"]
+    parts += ["".join(f"- {line}\n" for line in reasons(item.verdicts))] if item.verdicts else []
+    parts += [markdown_table(statement_lines(item.verdicts))] if item.verdicts else []
+    parts += [made_by(evidence, root) for evidence in item.evidence]
+    return "\n".join(parts)
+
+
+def reasons(verdicts: Sequence[Verdict]) -> list[str]:
+    """For every statement, against whom it stands and against whom not, naming planners where they differ."""
+    lines = []
+    for text in dict.fromkeys(verdict.statement.text for verdict in verdicts):
+        of_text = [verdict for verdict in verdicts if verdict.statement.text == text]
+        said: dict[str, list[str]] = {}
+        for baseline in dict.fromkeys(verdict.baseline for verdict in of_text):
+            whom = "" if baseline == NOTHING else f"against {baseline}"
+            rulings = {v.statement.planner: v.ruling for v in of_text if v.baseline == baseline}
+            if len(set(rulings.values())) == 1:
+                said.setdefault(next(iter(rulings.values())), []).append(whom)
+            else:
+                for planner, rule in rulings.items():
+                    said.setdefault(rule, []).append(f"{planner} {whom}".strip())
+        told = (f"*{rule}* {', '.join(filter(None, who))}".strip() for rule, who in said.items())
+        lines.append(f"{text}: {'; '.join(told)}")
+    return lines
+
+
+def made_by(evidence: Evidence, root: Path) -> str:
+    """The command of a results directory, its wall-clock, and where its rows are."""
+    told = sessions(evidence.record)
+    commands = dict.fromkeys(shlex.join(session.get("command") or ["?"]) for session in told)
+    commit = ", ".join(dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in told))
+    folder = evidence.folder.relative_to(root).as_posix()
+    where = (
+        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)" if evidence.rows else f"[numbers]({folder})"
+    )
+    return f"`{'` and `'.join(commands)}`: {wall_clock(evidence)}, commit {commit}; {where}\n"
+
+
+def wall_clock(evidence: Evidence) -> str:
+    """How long the command took; where that is not recorded, what its rows add up to."""
+    seconds = [session.get("wall_s") for session in sessions(evidence.record)]
+    known = [value for value in seconds if value is not None]
+    if len(known) == len(seconds):
+        return f"wall-clock {_minutes(sum(known))}"
+    planned = sum(row.t_total_s or 0.0 for row in evidence.rows)
+    return f"planning alone {_minutes(planned)}" if planned else "wall-clock not recorded"
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+def yardsticks(evidence: Evidence) -> Lines:
+    """Every planner that was run, as changes against the paper's baseline and the same search."""
+    groups = by_planner(evidence.rows, read_published("place_task.csv", "Place Task"))
+    lines = [
+        ["planner", "runs", "solved [%]", *(f"{what} [%] against {whom}" for what, whom, _ in YARDSTICKS)]
+    ]
+    for name, rows in groups.items():
+        line = [name, str(len(rows)), estimate(share(rows, lambda row: row.solved))]
+        for _, whom, value in YARDSTICKS:
+            ratio = paired_ratio(rows, groups.get(whom, ()), value)
+            line.append(NOTHING if whom == name else change(less(ratio)))
+        lines.append(line)
+    return lines
+
+
+def box_text(results: Path) -> str:
+    """The short table between its marks."""
+    return f"{BEGIN}\n{markdown_table(box_lines(judged_claims(results)))}{END}"
+
+
+def with_box(text: str, box: str) -> str:
+    """A README with its short table replaced; InvalidInputError where it has none."""
+    found = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
+    if not found.search(text):
+        raise InvalidInputError(
+            f"the README has no lines {BEGIN!r} and {END!r}; put them where the verdicts go"
+        )
+    return found.sub(lambda _: box, text)
+
+
+def committed_pages() -> dict[Path, str]:
+    """The committed page and, in a checkout, the README, as their rows say that they should be."""
+    pages = {PAGE: page_text(RESULTS, PAGE.parent)}
+    if README.is_file():
+        pages[README] = with_box(read_text(README), box_text(RESULTS))
+    return pages
+
+
+def stale_pages(pages: dict[Path, str]) -> list[str]:
+    """A line for every page that is not as it should be."""
+    return [
+        f"{path}: not what the rows say; write it with: cvqmpt claims"
+        for path, text in pages.items()
+        if not path.is_file() or read_text(path) != text
+    ]
