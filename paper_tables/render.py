@@ -32,6 +32,7 @@ PLACE = ("place_task.csv", "Place Task")
 TABLES: Mapping[str, SuiteTable] = {
     "place-task": SuiteTable("Place task: carry a can upright to the shelf", paper=PLACE),
     "place-task-with-can": SuiteTable("Place task, the carried can in the way", paper=PLACE),
+    "place-task-single-goal": SuiteTable("Place task, a single goal instead of twenty"),
     "family-cubes-spheres": SuiteTable("Held-out scenes of cubes and balls, hand upright"),
     "family-kitchen-like": SuiteTable("Held-out scenes like kitchens, hand upright"),
     "family-shelves": SuiteTable("Held-out scenes with shelves, hand upright"),

@@ -13,6 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
+from cvqmpt_lab.pipeline import drawn_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import FailReason
@@ -26,6 +27,7 @@ from cvqmpt_lab.scene.shapes import Cylinder
 ENVIRONMENTS = range(150)
 TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
 GOALS = 20
+SINGLE_GOAL_ENVIRONMENTS = range(30)
 DOOR = "dagger_door_left"
 DOOR_ANGLE = -1.57  # [rad]
 SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
@@ -75,6 +77,17 @@ def carried_can() -> Attachment:
 @lru_cache(maxsize=1)
 def _world() -> Scene:
     return kitchen(door_angles={DOOR: DOOR_ANGLE})
+
+
+def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
+    """The same with the first of its goals alone, so that a planner cannot choose an easier one."""
+    problem = place_problem(environment)
+    if isinstance(problem, UnsolvableProblem):
+        return problem
+    found = drawn_goals(problem)
+    if len(found.configurations) == 0:
+        return UnsolvableProblem(problem.name, f"no goal: {found.outcome}", FailReason.NO_GOAL)
+    return problem.with_goals(found.configurations[:1])
 
 
 def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:

@@ -19,7 +19,14 @@ from experiments.suites.family_task import family_problem
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.suites.other_robots import PROBLEMS as ROBOT_PROBLEMS
 from experiments.suites.other_robots import ROBOTS, other_robot_problem
-from experiments.suites.place_task import ENVIRONMENTS, UnsolvableProblem, carried_can, place_problem
+from experiments.suites.place_task import (
+    ENVIRONMENTS,
+    SINGLE_GOAL_ENVIRONMENTS,
+    UnsolvableProblem,
+    carried_can,
+    place_problem,
+    single_goal_problem,
+)
 from experiments.suites.scanned_scenes import SCENES
 from experiments.suites.sensor import SensedProblem, sensor_problem
 from experiments.suites.sensor_robustness import PLANNERS as ROBUST_PLANNERS
@@ -69,6 +76,9 @@ SUITES: Mapping[str, Suite] = {
     for suite in (
         Suite("place-task", ENVIRONMENTS, place_problem, carried=(carried_can(),)),
         Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
+        Suite(
+            "place-task-single-goal", SINGLE_GOAL_ENVIRONMENTS, single_goal_problem, carried=(carried_can(),)
+        ),
         *(Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name)) for name in FAMILIES),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
         *(
