@@ -10,6 +10,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
+from paper_tables.constraints_render import render_constraints
 from paper_tables.multi_sequence_render import render_multi_sequence
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_render import render_place
@@ -49,6 +50,9 @@ TABLES: Mapping[str, SuiteTable] = {
         ("place_task.csv", "Physical robot"),
     ),
     "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", render_robustness),
+    "constraints": SuiteTable(
+        "Eight kinds of constraints, zero-shot, in held-out scenes", render_constraints
+    ),
     "open-door": SuiteTable("Open the shelf's door, the hand on its handle"),
     "multi-sequence": SuiteTable(
         "Multi-sequence task: open the shelf, take the can, stand it on the counter",

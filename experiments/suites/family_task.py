@@ -42,17 +42,22 @@ def family_problem(
 
 
 def blocked_pair(
-    problem: PlanningProblem, rng: np.random.Generator, clear: float
+    problem: PlanningProblem, rng: np.random.Generator, clear: float, moved: float = 0.0, draws: int = DRAWS
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between them blocked."""
+    """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between them blocked.
+
+    moved: how far apart their hands are at least [m]. draws: configurations that are projected.
+    """
     space = ConstrainedSpace(problem)
-    states = problem.robot.random_configurations(rng, DRAWS)
+    states = problem.robot.random_configurations(rng, draws)
     states = states[[space.project(q) for q in states]]
     states = states[space.valid_batch(states)]
     checker = problem.collision_checker(clear)
     for _ in range(TRIES if len(states) > 1 else 0):
         start, goal = states[rng.choice(len(states), 2, replace=False)]
         if np.linalg.norm(goal - start) < APART or motion_free(space.arrays, start, goal):
+            continue
+        if np.linalg.norm(problem.robot.pose(goal)[:3, 3] - problem.robot.pose(start)[:3, 3]) < moved:
             continue
         if not (checker.in_collision(start) or checker.in_collision(goal)):
             return start, goal

@@ -12,6 +12,8 @@ from cvqmpt_lab.robot.limits import SLOW
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.tasks.task import Task
+from experiments.suites.constraint_task import PROBLEMS as CONSTRAINED
+from experiments.suites.constraint_task import constraint_problem
 from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
 from experiments.suites.door_task import door_problem
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
@@ -35,7 +37,12 @@ from experiments.suites.sensor_robustness import robustness_problem
 
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
 """Planners for problems that no shipped weights fit."""
-
+ZERO_SHOT = tuple(
+    name
+    for name in ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "opt-cvq-route", "roadmap-cvq")
+    if name in PLANNERS
+)
+"""Planners compared under constraints that no model has seen."""
 
 SuiteItem: TypeAlias = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 
@@ -80,6 +87,7 @@ SUITES: Mapping[str, Suite] = {
             "place-task-single-goal", SINGLE_GOAL_ENVIRONMENTS, single_goal_problem, carried=(carried_can(),)
         ),
         *(Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name)) for name in FAMILIES),
+        Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
         *(
             Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)

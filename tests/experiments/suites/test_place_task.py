@@ -103,6 +103,8 @@ def test_suites_know_their_problems(suite):
     sizes = {
         "place-task": 150,
         "place-task-with-can": 150,
+        "place-task-single-goal": 30,
+        "constraints": 160,
         "multi-sequence": 10,
         "open-door": 10,
         "sensor": 10,
