@@ -5,6 +5,7 @@ import importlib
 import os
 import re
 import sys
+from collections.abc import Collection
 from typing import Any, NoReturn
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_torch
@@ -28,6 +29,8 @@ COMMANDS = {
     "model": "look at weights, convert published ones",
     "bench": "measure kernels, collision checks, planners and free motions",
     "warmup": "compile all kernels ahead of time",
+    "doctor": "tell what is installed here, what is missing and how to get it",
+    "completion": "print what makes a shell complete commands, options and names",
 }
 
 NEED_TORCH = ("train",)
@@ -71,7 +74,8 @@ def _module(command: str):
     return importlib.import_module(f"cli.{command.replace('-', '_')}_command")
 
 
-def _parsed(argv: list[str]) -> argparse.Namespace:
+def parser_with(filled: Collection[str]) -> Parser:
+    """The whole command line, with the options of some subcommands: only they pay for their imports."""
     parser = Parser(
         prog="cvqmpt",
         description="Constrained motion planning with learned sampling dictionaries: plan, measure, reproduce.",
@@ -80,21 +84,25 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    asked = next((word for word in argv if word in COMMANDS), None)
-    if asked != "train":
-        for variable in THREADS:
-            os.environ.setdefault(variable, "1")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(
             name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
-        if name == asked:  # only the command in use pays for its imports
+        if name in filled:
             if name in NEED_TORCH:
                 require_torch(f"cvqmpt {name}")
             module = _module(name)
             sub.epilog = "examples:\n" + "\n".join("  " + line for line in module.EXAMPLES)
             module.add_arguments(sub)
-    args, unknown = parser.parse_known_args(argv)
+    return parser
+
+
+def _parsed(argv: list[str]) -> argparse.Namespace:
+    asked = next((word for word in argv if word in COMMANDS), None)
+    if asked != "train":
+        for variable in THREADS:
+            os.environ.setdefault(variable, "1")
+    args, unknown = parser_with([asked] if asked else ()).parse_known_args(argv)
     if unknown:
         raise InvalidInputError(
             f"unknown arguments: {' '.join(unknown)}; cvqmpt {args.command} --help lists what can be given"

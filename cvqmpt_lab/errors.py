@@ -71,9 +71,14 @@ class RunStoreError(InvalidInputError):
     """A results directory that cannot be read, written or continued."""
 
 
+def torch_installed() -> bool:
+    """Whether torch can be imported; it is not."""
+    return importlib.util.find_spec("torch") is not None
+
+
 def require_torch(what: str) -> None:
     """Raise InvalidInputError that tells the cure when torch, which `what` needs, is not installed."""
-    if importlib.util.find_spec("torch") is None:
+    if not torch_installed():
         raise InvalidInputError(
             f"{what} needs torch, which is not installed: pip install 'cvqmpt-lab[train]'"
         )
