@@ -9,7 +9,7 @@ from pathlib import Path
 from cli.motion_options import add_motion, arm_of, motion_given, motion_problem, scanned
 from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
-from cli.planner_options import add_budget, budget
+from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
 from cli.problem_options import add_problem, problem_asked
 from cli.robot_options import robot_source
 from cli.scan_options import add_scan
@@ -34,6 +34,7 @@ EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --picture plan.png --save plan.gif",
     "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
     "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
+    "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05",
     "cvqmpt plan --task-file task.json --planner guided-birrt",
     "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
     "cvqmpt plan --problem-file mine.json --robot ur5",
@@ -73,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_motion(parser)
     add_scan(parser)
     add_budget(parser)
+    add_optimize(parser)
     add_show(parser)
     parser.add_argument("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
     parser.add_argument(
@@ -107,7 +109,9 @@ def run(args: argparse.Namespace) -> int:
     rehearse(problem, method, args.backend, lambda text: print(text, file=sys.stderr, flush=True))
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    solution = solve(problem, method, budget(args), args.seed, backend=args.backend)
+    solution = solve(
+        problem, method, budget(args), args.seed, backend=args.backend, optimize=optimize_budget(args)
+    )
     print(as_json(solution, args.planner) if args.json else "\n".join(report(solution, args.planner)))
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and solution.simplified:

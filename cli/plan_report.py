@@ -7,6 +7,7 @@ from typing import Any
 
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
 from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.planning.restarts import Improvement
 from cvqmpt_lab.problem import PlanningProblem
 
 
@@ -34,9 +35,26 @@ def report(solution: Solution, planner: str) -> list[str]:
     ]
     if plan.path is not None and shorter is not None:
         lines.append(f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
+    if solution.improvement is not None:
+        lines.append(f"optimize    {_gain(solution.improvement)}")
     if solution.certificate is not None:
         lines.append(f"certificate {_verdict(solution)}")
     return lines
+
+
+def _gain(made: Improvement) -> str:
+    """How much of the time for it was used, and what was gained."""
+    of = "" if made.budget.seconds is None else f" of {1e3 * made.budget.seconds:g}"
+    counted = (
+        ""
+        if made.budget.iterations is None
+        else f", {made.iterations} of {made.budget.iterations} iterations"
+    )
+    (_, first), (_, last) = made.lengths[0], made.lengths[-1]
+    return (
+        f"{1e3 * made.seconds:.1f}{of} ms{counted}: {made.searches} searches, {first:.2f} to {last:.2f} rad "
+        f"({made.gained:.0%} shorter)"
+    )
 
 
 def _status(solution: Solution) -> str:
@@ -67,7 +85,7 @@ def _verdict(solution: Solution) -> str:
 def as_json(solution: Solution, planner: str) -> str:
     """The same as one json object, with the path's states; undefined numbers are null."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
-    problem = solution.problem
+    problem, more = solution.problem, solution.improvement
     data: dict[str, Any] = {
         "problem": problem.name,
         "robot": problem.robot.name,
@@ -94,6 +112,9 @@ def as_json(solution: Solution, planner: str) -> str:
         },
         "counts": vars(plan.counters) | {"vertices": plan.vertices},
         "length_rad": shorter.path.length if shorter else None,
+        "optimize": None
+        if more is None
+        else vars(more) | {"budget": vars(more.budget), "gained": more.gained},
         "certificate": None
         if certificate is None
         else vars(certificate) | {"valid": certificate.valid, "reasons": list(certificate.reasons)},

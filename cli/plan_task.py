@@ -13,7 +13,7 @@ from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from experiments.warmup import compile_kernels
 
-OF_PROBLEMS = ("cloud", "json", "save_path", "trajectory", "view")
+OF_PROBLEMS = ("cloud", "json", "optimize", "save_path", "trajectory", "view")
 
 
 def run_task(args: argparse.Namespace, task: Task) -> int:

@@ -3,6 +3,7 @@
 import argparse
 
 from cli.options import positive, positive_int
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
@@ -26,6 +27,30 @@ def budget(args: argparse.Namespace) -> Budget:
     """The budget asked for; 10 s when nothing was."""
     seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
     return Budget(seconds=seconds, iterations=args.iterations)
+
+
+def add_optimize(parser: argparse.ArgumentParser) -> None:
+    """--optimize."""
+    parser.add_argument(
+        "--optimize",
+        type=positive,
+        metavar="S",
+        help="spend S seconds more on a shorter path (iterations, where only --iterations bounds the run)",
+    )
+
+
+def optimize_budget(args: argparse.Namespace) -> Budget | None:
+    """What --optimize asks for, in the unit that bounds the run."""
+    if args.optimize is None:
+        return None
+    if args.iterations is None or args.cutoff is not None:
+        return Budget(seconds=args.optimize)
+    if args.optimize != int(args.optimize):
+        raise InvalidInputError(
+            f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no clock; give a whole "
+            "number of iterations, or --cutoff beside it"
+        )
+    return Budget(iterations=int(args.optimize))
 
 
 def planner_list(text: str) -> tuple[str, ...]:

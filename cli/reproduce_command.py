@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from cli.options import ProgressBar, add_model, positive_int
-from cli.planner_options import add_budget, budget, planner_list
+from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
 from cli.table_command import show_tables
 from cvqmpt_lab.methods.table import PLANNERS
 from experiments.run import Experiment, default_jobs, run_experiment
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_model(parser)
     add_budget(parser)
+    add_optimize(parser)
     parser.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE)")
 
@@ -46,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
         budget=budget(args),
         backend=args.backend,
         model=args.model,
+        optimize=optimize_budget(args),
     )
     out = args.out or Path("runs") / suite.name
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))

@@ -17,7 +17,8 @@ from cvqmpt_lab.methods.table import planner_named, require_fit
 from cvqmpt_lab.planning.goals import sample_goals
 from cvqmpt_lab.planning.proposal import Observation
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.planning.restarts import Improvement, check_units, improve
+from cvqmpt_lab.planning.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.simplify import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -43,6 +44,8 @@ class Solution:
     """What drawing goals took [s]."""
     observe_seconds: float = 0.0
     """What looking at the scene took [s]; charged to nobody."""
+    improvement: Improvement | None = None
+    """What was made of the time for it after the first path; None where none was given. `simplified` has the best."""
 
     @property
     def solved(self) -> bool:
@@ -60,16 +63,22 @@ def solve(
     backend: str = "compiled",
     simplification: SimplifySettings | None = None,
     clearance: bool = True,
+    optimize: Budget | None = None,
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed.
+
+    optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
 
     Raises
     ------
     InvalidProblemError
         When the start or a goal collides or violates the constraint.
     InvalidInputError
-        When the method cannot serve the problem: weights of another robot, no constraint.
+        When the method cannot serve the problem: weights of another robot, no constraint; or when `optimize` has
+        seconds and the budget has none.
     """
+    if optimize is not None:
+        check_units(budget, optimize)
     method = planner_named(method) if isinstance(method, str) else method
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
@@ -99,7 +108,24 @@ def solve(
         return Solution(problem, plan, None, None, goal_seconds, observation.seconds)
     shorter = simplify(space, plan.path, rng, simplification)
     certificate = certify(problem, shorter.path, clearance=clearance)
-    return Solution(problem, plan, shorter, certificate, goal_seconds, observation.seconds)
+    found = Solution(problem, plan, shorter, certificate, goal_seconds, observation.seconds)
+    if optimize is None:
+        return found
+    rng = np.random.default_rng([seed, 1])
+    best, improvement = improve(
+        space, stages.search, proposal.distribution, shorter.path, optimize, rng, simplification
+    )
+    return _with_better(found, best, improvement, clearance)
+
+
+def _with_better(found: Solution, best: JointPath, improvement: Improvement, clearance: bool) -> Solution:
+    """A solution with a path that is no longer than its own, unless that one is refused a certificate."""
+    assert found.simplified is not None
+    certificate = certify(found.problem, best, clearance=clearance)
+    if not certificate.valid:
+        return replace(found, improvement=replace(improvement, lengths=improvement.lengths[:1]))
+    simplified = replace(found.simplified, path=best)
+    return replace(found, simplified=simplified, certificate=certificate, improvement=improvement)
 
 
 def solve_many(

@@ -41,6 +41,8 @@ class Run:
     backend: str = "compiled"
     model: str | None = None
     """Weights, of planners that use any; see `Weights.model`."""
+    optimize: Budget | None = None
+    """What is spent on a better path once there is one; see `pipeline.solve`."""
 
     @property
     def method(self) -> Method:
@@ -78,7 +80,7 @@ def outcome_of(run: Run, item: Item, goal_seconds: float) -> Outcome:
         return Outcome(phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes]))
     if isinstance(item, SensedProblem):
         return _sensed(run, item)
-    solution = solve(item, run.method, run.budget, run.seed, backend=run.backend)
+    solution = solve(item, run.method, run.budget, run.seed, backend=run.backend, optimize=run.optimize)
     return Outcome([result_row(run, solution, goal_seconds)], _states([solution]))
 
 
@@ -89,7 +91,9 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 def _sensed(run: Run, item: SensedProblem) -> Outcome:
     """A problem in a map, whose path is also judged in the scene that the map is of."""
     began = time.perf_counter()
-    solution = solve(item.problem, run.method, run.budget, run.seed, backend=run.backend)
+    solution = solve(
+        item.problem, run.method, run.budget, run.seed, backend=run.backend, optimize=run.optimize
+    )
     whole = item.seconds + time.perf_counter() - began
     row = replace(result_row(run, solution, 0.0), t_sense_s=item.seconds, t_whole_s=whole)
     if solution.simplified is None:
@@ -111,7 +115,8 @@ def failed_rows(run: Run, item: Item, reason: FailReason, detail: str) -> list[R
 def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     """The row of a solution; undefined values stay empty."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
-    timings, search = plan.timings, plan.search_seconds
+    timings, search, more = plan.timings, plan.search_seconds, solution.improvement
+    simplified = (shorter.seconds if shorter else 0.0) + (more.seconds if more else 0.0)
     reasons = certificate.reasons if certificate else ()
     return run.row(
         solution.problem.name,
@@ -120,7 +125,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         sampler_used=one_line(plan.sampler),
         fallback=one_line(plan.fallback),
         certified=certificate.valid if certificate else None,
-        t_total_s=goal_seconds + timings.total + search + (shorter.seconds if shorter else 0.0),
+        t_total_s=goal_seconds + timings.total + search + simplified,
         t_goals_s=goal_seconds,
         t_encode_s=timings.encode,
         t_predict_s=timings.predict,
@@ -138,6 +143,9 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
         min_clearance_m=_defined(certificate.min_clearance_m) if certificate else None,
         path_sha256=path_hash(shorter.path) if shorter else None,
+        t_improve_s=more.seconds if more else None,
+        n_restarts=more.searches if more else None,
+        path_length_first_rad=more.lengths[0][1] if more else None,
     )
 
 

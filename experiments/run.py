@@ -5,13 +5,14 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.restarts import check_units
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import BACKENDS
 from cvqmpt_lab.problem import PlanningProblem
@@ -40,6 +41,8 @@ class Experiment:
     backend: str = "compiled"
     model: str | None = None
     """Weights in place of the shipped ones, of planners that use any."""
+    optimize: Budget | None = None
+    """What is spent on a better path once there is one."""
 
     def __post_init__(self) -> None:
         suite = suite_named(self.suite)
@@ -50,6 +53,8 @@ class Experiment:
             planner_named(name)
         if self.backend not in BACKENDS:
             raise UnknownChoiceError("backend", self.backend, BACKENDS)
+        if self.optimize is not None:
+            check_units(self.budget, self.optimize)
         for what in ("problems", "planners", "seeds"):
             if not getattr(self, what):
                 raise InvalidInputError(f"an experiment needs at least one of {what}")
@@ -58,7 +63,7 @@ class Experiment:
     def runs(self) -> list[Run]:
         """All of it, planners of one problem side by side."""
         return [
-            Run(self.suite, problem, planner, seed, self.budget, self.backend, self.model)
+            Run(self.suite, problem, planner, seed, self.budget, self.backend, self.model, self.optimize)
             for seed in self.seeds
             for problem in self.problems
             for planner in self.planners
@@ -71,6 +76,7 @@ class Experiment:
             "cutoff_s": self.budget.seconds,
             "iterations": self.budget.iterations,
             "backend": self.backend,
+            **({"optimize": asdict(self.optimize)} if self.optimize else {}),
             **suite_named(self.suite).settings,
         }
 

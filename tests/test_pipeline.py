@@ -1,7 +1,10 @@
-"""Many problems at once."""
+"""Many problems at once, and time left for a better path."""
 
 import numpy as np
+import pytest
 
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, solve_many
 from cvqmpt_lab.planning.result import Budget
 from experiments.suites.place_task import place_problem
@@ -19,3 +22,32 @@ def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
         assert solution.solved and solution.plan.counters == alone.plan.counters
         np.testing.assert_array_equal(solution.simplified.path.states, alone.simplified.path.states)
     assert solve_many([], "birrt", ENOUGH) == []
+
+
+@pytest.mark.parametrize("planner", ["birrt", "roadmap-cvq"])
+def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
+    plain = solve(problem, planner, ENOUGH, seed=3, clearance=False)
+    better, again = (
+        solve(problem, planner, ENOUGH, seed=3, clearance=False, optimize=Budget(iterations=60))
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(better.simplified.path.states, again.simplified.path.states)
+    made = better.improvement
+    lengths = [length for _, length in made.lengths]
+    assert lengths[0] == plain.simplified.path.length and lengths[-1] == better.simplified.path.length
+    assert lengths[-1] < lengths[0] and lengths == sorted(lengths, reverse=True)
+    assert made.gained == pytest.approx(1.0 - lengths[-1] / lengths[0]) and made.iterations >= 60
+    assert better.plan.counters == plain.plan.counters
+    assert better.solved and certify(problem, better.simplified.path).valid
+
+
+def test_seconds_left_are_used_and_hardly_more(problem):
+    made = solve(
+        problem, "birrt", Budget(seconds=60.0), seed=3, clearance=False, optimize=Budget(seconds=0.2)
+    ).improvement
+    assert 0.2 <= made.seconds < 1.0
+
+
+def test_a_run_without_a_clock_takes_no_seconds(problem):
+    with pytest.raises(InvalidInputError, match=r"optimize: 0\.05 s in a run of 20000 iterations"):
+        solve(problem, "birrt", ENOUGH, seed=0, optimize=Budget(seconds=0.05))

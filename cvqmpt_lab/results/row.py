@@ -122,6 +122,12 @@ class ResultRow:
     """Whether the path is free in the scene that was scanned, which planners do not know."""
     true_clearance_m: float | None = None
     """Of the path in that scene; negative where bodies overlap."""
+    t_improve_s: float | None = None
+    """Of the time given for it, what was used on restarts and shortening after the first path; in `t_total_s`."""
+    n_restarts: int | None = None
+    """Searches begun in that time."""
+    path_length_first_rad: float | None = None
+    """Of the first path, shortened; `path_length_rad` is of the best."""
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():

@@ -110,3 +110,26 @@ def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem,
 def test_plan_without_success_exits_with_1(capsys):
     assert main(["plan", "place-task", "--problem", "5", "--iterations", "1"]) == 1
     assert "iteration_limit" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--optimize", "0"), "--optimize: '0' is not a positive number"),
+        (("--optimize", "soon"), "--optimize: 'soon'"),
+        (
+            ("--iterations", "500", "--optimize", "0.05"),
+            "--optimize 0.05: a run of --iterations 500 knows no clock",
+        ),
+    ],
+)
+def test_time_for_a_better_path_is_refused_by_name(capsys, problem_file, options, word):
+    assert word in refused(capsys, "plan", "--problem-file", problem_file, *options)
+
+
+def test_what_was_gained_is_said(capsys, problem_file):
+    assert (
+        main(["plan", "--problem-file", str(problem_file), "--iterations", "20000", "--optimize", "40"]) == 0
+    )
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("optimize"))
+    assert "of 40 iterations" in line and "shorter" in line
