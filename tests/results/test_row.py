@@ -15,14 +15,14 @@ def test_columns_are_the_documented_ones():
         "t_total_s,t_goals_s,t_encode_s,t_predict_s,t_optimize_s,t_plan_s,t_simplify_s,"
         "n_projections,n_newton_iterations,n_state_checks,n_iterations,vertices,path_length_raw_rad,"
         "path_length_rad,execution_time_s,max_violation_rad,max_violation_m,min_clearance_m,path_sha256,"
-        "t_sense_s,t_whole_s,true_free,true_clearance_m"
+        "t_sense_s,t_whole_s,true_free,true_clearance_m,t_improve_s,n_restarts,path_length_first_rad"
     )
 
 
 def test_files_from_before_the_last_columns_are_read(tmp_path):
     path, row = tmp_path / "rows.csv", a_row(t_total_s=1.5, path_sha256="0" * 64)
     write_rows(path, [row])
-    for gone in (1, 4):
+    for gone in (1, 7):
         lines = path.read_text().splitlines()
         path.write_text("".join(",".join(line.split(",")[:-gone]) + "\n" for line in lines))
         if gone == 1:
@@ -170,7 +170,7 @@ def test_unreadable_files_are_named(tmp_path):
         read_rows(tmp_path / "rows.csv")
     write_rows(tmp_path / "short.csv", [a_row()])
     (tmp_path / "short.csv").write_text((tmp_path / "short.csv").read_text()[:-3])
-    with pytest.raises(RunStoreError, match="line 2: 33 fields, expected 35"):
+    with pytest.raises(RunStoreError, match="line 2: 36 fields, expected 38"):
         read_rows(tmp_path / "short.csv")
 
 
