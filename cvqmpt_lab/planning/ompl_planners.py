@@ -104,6 +104,7 @@ class _Run:
         self._information.setup()
         self._problem = ob.ProblemDefinition(self._information)
         self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
+        self._given = self._css.allocState()  # one for all: its numbers are freed neither by Python nor by us
         self._problem.addStartState(self._state(self._inside(start), manifold))
         goal = ob.GoalStates(self._information)
         for q in goals:
@@ -127,12 +128,11 @@ class _Run:
         return moved
 
     def _state(self, q: np.ndarray, manifold: str):
-        """An OMPL state at q; atlas and tangent bundle anchor a chart there."""
-        state = self._css.allocState()
-        state.copy([float(x) for x in q])
+        """An OMPL state at q, to be copied before the next is made; atlas and tangent bundle anchor a chart there."""
+        self._given.copy([float(x) for x in q])
         if manifold != "projected":
-            self._css.anchorChart(state)
-        return state
+            self._css.anchorChart(self._given)
+        return self._given
 
     def _read(self, state) -> np.ndarray:
         return np.array([state[i] for i in range(self._space.robot.dof)])

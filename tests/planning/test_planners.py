@@ -27,6 +27,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from experiments.rows import path_hash
+from experiments.trust.memory import in_use
 
 LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
 OURS = ("birrt", "guided-birrt")
@@ -274,6 +275,22 @@ def test_ompl_keeps_nothing_of_a_run(problem, manifold):
     del space
     gc.collect()
     assert kept() is None
+
+
+@pytest.mark.parametrize("manifold", STATE_SPACES)
+def test_states_given_to_ompl_leave_no_memory_behind(problem, manifold):
+    """The binding frees no state that Python allocates: 96 bytes each, once 2 kB a run of 20 goals."""
+    space, goals = ConstrainedSpace(problem), np.repeat(problem.goals[:1], 100, axis=0)
+    search, rng = OmplSearch(manifold), np.random.default_rng(0)
+
+    def run_nine_times():
+        for _ in range(9):
+            search.search(space, problem.start, goals, None, Budget(iterations=1), rng)
+
+    run_nine_times()
+    before = in_use()
+    run_nine_times()
+    assert in_use() - before < 9 * 2000
 
 
 def test_state_check_keeps_its_error_until_asked():
