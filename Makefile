@@ -7,10 +7,11 @@ PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help venv venv-dev reproduce test lint warmup check-tables pytest trust bench clean
+.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables pytest trust bench clean
 
 help:
 	@echo "make venv        .venv to plan and reproduce with, pinned in constraints.txt (PYTHON=python3.11 picks another)"
+	@echo "make venv LOCKED=1   the same from locked.txt, where pip refuses whatever has not the hash that stands there"
 	@echo "make venv-dev    the same with torch and tools, to train, test and develop"
 	@echo "make reproduce   20 problems of the place task, all planners, and their table"
 	@echo "make test        lint, table regression, tests"
@@ -25,7 +26,12 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "Python 3.11 or newer is needed: make venv PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv .venv
+ifdef LOCKED
+	$(BIN)/python -m pip install --quiet --require-hashes -r locked.txt
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+else
 	$(PIP) -e .
+endif
 	@touch $@
 
 venv-dev: $(DEVELOPER)
@@ -33,6 +39,21 @@ venv-dev: $(DEVELOPER)
 $(DEVELOPER): $(STAMP)
 	$(PIP) -e '.[dev,train]'
 	@touch $@
+
+# What follows is for those who change constraints.txt: hashes, licences and bill of materials, known vulnerabilities.
+locked: venv-dev
+	$(PIP) uv
+	echo setuptools | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+		--no-header --no-annotate --no-emit-index-url --no-emit-find-links \
+		-c constraints.txt pyproject.toml - -o locked.txt
+
+inventory: venv-dev
+	$(BIN)/python -m experiments.trust.inventory
+
+# --strict: fails, rather than passes, where the database of vulnerabilities cannot be reached.
+audit: venv-dev
+	$(PIP) pip-audit
+	$(BIN)/pip-audit --strict --require-hashes --disable-pip -r locked.txt
 
 warmup: venv
 	$(BIN)/cvqmpt warmup

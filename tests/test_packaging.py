@@ -5,12 +5,14 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import distribution, version
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from experiments.trust.inventory import closure, distributions, pinned
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -18,40 +20,26 @@ EXTRAS = PROJECT["optional-dependencies"]
 DECLARED = [Requirement(r) for r in (*PROJECT["dependencies"], *EXTRAS["train"], *EXTRAS["dev"])]
 
 
-def pins():
-    """Name -> version of constraints.txt."""
-    lines = [line.strip() for line in (ROOT / "constraints.txt").read_text().splitlines()]
-    requirements = [Requirement(line) for line in lines if line and not line.startswith("#")]
-    return {canonicalize_name(r.name): str(r.specifier) for r in requirements}
-
-
-def closure(requirements):
-    """Names of all distributions that requirements pull in here."""
-    found = set()
-    open_names = [(canonicalize_name(r.name), tuple(sorted(r.extras))) for r in requirements]
-    while open_names:
-        item = open_names.pop()
-        if item in found:
-            continue
-        found.add(item)
-        for text in distribution(item[0]).requires or []:
-            requirement = Requirement(text)
-            markers = ({"extra": extra} for extra in ("", *item[1]))
-            if requirement.marker is None or any(requirement.marker.evaluate(m) for m in markers):
-                open_names.append((canonicalize_name(requirement.name), tuple(sorted(requirement.extras))))
-    return {name for name, _ in found}
-
-
 def test_every_dependency_is_pinned_to_what_is_installed():
-    needed, pinned = closure(DECLARED), pins()
-    assert sorted(needed - pinned.keys()) == [], "missing in constraints.txt"
-    assert all(specifier.startswith("==") for specifier in pinned.values())
-    assert {name: f"=={version(name)}" for name in needed} == {name: pinned[name] for name in needed}
+    needed, pins = closure(DECLARED), pinned()
+    assert sorted(needed - pins.keys()) == [], "missing in constraints.txt"
+    assert {name: version(name) for name in needed} == {name: pins[name] for name in needed}
 
 
 def test_pins_satisfy_the_declared_ranges():
     for requirement in DECLARED:
-        assert requirement.specifier.contains(pins()[canonicalize_name(requirement.name)].removeprefix("=="))
+        assert requirement.specifier.contains(pinned()[canonicalize_name(requirement.name)])
+
+
+def test_the_locked_set_is_what_planning_needs_as_pinned_with_hashes():
+    """`make locked` writes it anew."""
+    text = (ROOT / "locked.txt").read_text().replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    locked = {line.split("==")[0]: line.split()[0].split("==")[1] for line in lines}
+    pins = pinned()
+    assert locked == {name: pins[name] for name in locked}
+    needed = {item.name for item in distributions()} | {"setuptools"}  # what builds the project itself
+    assert needed <= locked.keys() and all("--hash=sha256:" in line for line in lines)
 
 
 def test_licence_and_readme_are_there():
@@ -64,7 +52,7 @@ def test_licence_and_readme_are_there():
     assert linked and [path for path in linked if not (ROOT / path).exists()] == []
 
 
-@pytest.mark.parametrize("name", ["Makefile", ".ci/run", "constraints.txt", "pyproject.toml"])
+@pytest.mark.parametrize("name", ["Makefile", ".ci/run", "constraints.txt", "locked.txt", "pyproject.toml"])
 def test_no_package_index_is_named(name):
     text = (ROOT / name).read_text()
     assert re.search(r"https?://|--index-url|--find-links|--trusted-host", text) is None

@@ -11,6 +11,7 @@ PARTS: Mapping[str, str] = {
     "differential": "experiments.trust.differential",
     "faults": "experiments.trust.faults",
     "files": "experiments.trust.files",
+    "supply": "experiments.trust.supply",
 }
 """Module of each part; only those asked for are imported."""
 
