@@ -118,6 +118,9 @@ def main(argv: list[str] | None = None) -> int:
     except CvqmptError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        print(f"cvqmpt: out of memory ({error}); what was finished is kept", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("cvqmpt: interrupted; what was finished is kept, the same command continues", file=sys.stderr)
         return 130

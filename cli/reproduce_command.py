@@ -2,12 +2,14 @@
 
 import argparse
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from cli.options import ProgressBar, add_model, positive_int
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
 from cli.table_command import show_tables
 from cvqmpt_lab.methods.table import PLANNERS
+from experiments.cluster import dask_cluster
 from experiments.run import Experiment, default_jobs, run_experiment
 from experiments.suites.table import SUITES, suite_named
 from experiments.warmup import compile_kernels
@@ -16,6 +18,7 @@ EXAMPLES = (
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out runs/can",
     "cvqmpt reproduce multi-sequence --problems 2 --planners birrt,guided-birrt",
+    "cvqmpt reproduce place-task --seeds 5 --dask tcp://head:8786 --out runs/cluster",
 )
 
 
@@ -32,7 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser)
     add_budget(parser)
     add_optimize(parser)
-    parser.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
+    where.add_argument(
+        "--dask", metavar="ADDRESS", help="a Dask scheduler, whose workers run it: tcp://HOST:8786"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE)")
 
 
@@ -52,6 +59,9 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or Path("runs") / suite.name
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     command = ["cvqmpt", *sys.argv[1:]]
-    run_experiment(experiment, out, args.jobs or default_jobs(), command, ProgressBar(suite.name))
+    cluster = dask_cluster(args.dask, experiment) if args.dask else nullcontext()
+    with cluster as crew:
+        jobs = crew.size if crew else args.jobs or default_jobs()
+        run_experiment(experiment, out, jobs, command, ProgressBar(suite.name), crew)
     show_tables(out)
     return 0

@@ -1,10 +1,11 @@
-"""Running planners over a suite: in parallel processes, resumable, every outcome one row or more."""
+"""Running planners over a suite: side by side, resumable, every outcome one row or more."""
 
+import math
 import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,13 +21,13 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.tasks.task import Task
+from experiments.crew import Crew, processes
 from experiments.rows import Item, Outcome, Run, failed_rows, outcome_of
 from experiments.suites.table import suite_named
 from experiments.warmup import compile_kernels
-from experiments.workers import worker_pool
 
-Outcomes = Generator[tuple[Run, Outcome], None, list[Run]]
-"""Runs with what came of them as they come in; at the end, the runs that were in flight when a worker died."""
+SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
+"""What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,11 @@ class Experiment:
             for planner in self.planners
         ]
 
+    @property
+    def limit_s(self) -> float:
+        """Time [s] without an answer after which a run is given up: far more than any takes that is alive."""
+        return SPARE_S + TIMES * sum(_most(budget) for budget in (self.budget, self.optimize) if budget)
+
     def settings(self) -> dict[str, object]:
         """What must be equal for a run to be continued: everything that changes a row."""
         return {
@@ -81,12 +87,19 @@ class Experiment:
         }
 
 
+def _most(budget: Budget) -> float:
+    """Time [s] that it allows."""
+    by_count = math.inf if budget.iterations is None else ITERATION_S * budget.iterations
+    return by_count if budget.seconds is None else min(budget.seconds, by_count)
+
+
 def run_experiment(
     experiment: Experiment,
     out: Path,
     jobs: int,
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
+    crew: Crew | None = None,
 ) -> list[ResultRow]:
     """Run what is not yet in `out` and return all rows, sorted.
 
@@ -96,6 +109,8 @@ def run_experiment(
     ----------
     on_progress
         Called with (runs done, runs in all, a note on the last one).
+    crew
+        Who carries out the runs, in place of so many `jobs` (processes) on this machine; rows are the same.
     """
     if jobs < 1:
         raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
@@ -104,11 +119,14 @@ def run_experiment(
         runs, done = experiment.runs, store.done()
         left = [run for run in runs if run.key not in done]
         on_progress(len(runs) - len(left), len(runs), "")
-        for finished, (run, outcome) in enumerate(_outcomes(left, jobs), start=len(runs) - len(left) + 1):
-            store.append(outcome.rows, outcome.paths)
-            failed = next((row for row in outcome.rows if not row.solved), None)
-            note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
-            on_progress(finished, len(runs), f"{run.planner} {note}")
+        if not left:
+            return store.rows()
+        with nullcontext(crew) if crew else processes(min(jobs, len(left)), experiment.limit_s) as workers:
+            for finished, (run, outcome) in enumerate(_outcomes(left, workers), len(runs) - len(left) + 1):
+                store.append(outcome.rows, outcome.paths)
+                failed = next((row for row in outcome.rows if not row.solved), None)
+                note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
+                on_progress(finished, len(runs), f"{run.planner} {note}")
         return store.rows()
 
 
@@ -134,37 +152,30 @@ def default_jobs() -> int:
     return os.cpu_count() or 1
 
 
-def _outcomes(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Outcome]]:
-    """What came of every run. When a worker dies, the runs in flight are repeated one by one to find which did it."""
-    waiting, suspects = deque(runs), deque[Run]()
+def _outcomes(runs: Sequence[Run], crew: Crew) -> Iterator[tuple[Run, Outcome]]:
+    """What came of every run, as it comes in; few are handed over at a time, so that an interrupt is quick."""
+    queue, flying = deque(runs), dict[Future, Run]()
     setup = tuple({run.planner: run for run in runs}.values())
-    while waiting or suspects:
-        if not suspects:
-            suspects.extend((yield from _in_pool(waiting, jobs, 2 * jobs, setup)))
-            continue
-        for run in (yield from _in_pool(suspects, 1, 1, setup)):
-            item, _ = _item(run.suite, run.item)
-            rows = failed_rows(run, item, FailReason.WORKER_DIED, "the process that ran it ended")
-            yield run, Outcome(rows)
+    while queue or flying:
+        while queue and len(flying) < 2 * crew.size:
+            run = queue.popleft()
+            flying[crew.executor.submit(_run_warm, run, setup)] = run
+        for future in wait(flying, return_when=FIRST_COMPLETED).done:
+            run = flying.pop(future)
+            yield run, _outcome(future, run, crew)
 
 
-def _in_pool(queue: deque[Run], jobs: int, in_flight: int, setup: tuple[Run, ...]) -> Outcomes:
-    """Run a queue, a few runs in flight at a time, so that an interrupt is quick."""
-    pool = worker_pool(min(jobs, len(queue)))
-    flying: dict[Future, Run] = {}
+def _outcome(future: Future, run: Run, crew: Crew) -> Outcome:
+    """What a run returned; a row of failure where it was lost."""
     try:
-        while queue or flying:
-            while queue and len(flying) < in_flight:
-                flying[pool.submit(_run_warm, queue[0], setup)] = queue[0]  # stays queued if that fails
-                queue.popleft()
-            for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                outcome = future.result()
-                yield flying.pop(future), outcome
-    except BrokenProcessPool:
-        return list(flying.values())
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-    return []
+        return future.result()
+    except tuple(crew.losses) as error:
+        reason = next(reason for kind, reason in crew.losses.items() if isinstance(error, kind))
+        return Outcome(failed_rows(run, suite_named(run.suite).item(run.item), reason, str(error)))
+    except CancelledError as error:
+        raise CvqmptError(
+            "whoever carried out the runs has left; what was finished is kept, the same command continues"
+        ) from error
 
 
 def _run_warm(run: Run, setup: tuple[Run, ...]) -> Outcome:
@@ -173,7 +184,7 @@ def _run_warm(run: Run, setup: tuple[Run, ...]) -> Outcome:
     item, seconds = _item(run.suite, run.item)
     try:
         return outcome_of(run, item, seconds)
-    except CvqmptError:
+    except (CvqmptError, MemoryError):
         raise
     except Exception as error:
         what = f"{type(error).__name__}: {error}"

@@ -25,6 +25,8 @@ STATUS_OF: Mapping[FailReason | None, str] = {
     FailReason.NO_GOAL: "Invalid goal",
     FailReason.INVALID_GOAL: "Invalid goal",
     FailReason.WORKER_DIED: "Crash",
+    FailReason.WORKER_HUNG: "Crash",
+    FailReason.OUT_OF_MEMORY: "Crash",
 }
 """Other reasons are unknown to OMPL; the property "fail reason" has them all."""
 

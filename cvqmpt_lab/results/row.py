@@ -45,6 +45,8 @@ class FailReason(StrEnum):
     NOT_TIMED = "not_timed"
     NOT_REACHED = "not_reached"
     WORKER_DIED = "worker_died"
+    WORKER_HUNG = "worker_hung"
+    OUT_OF_MEMORY = "out_of_memory"
 
 
 class RunKey(typing.NamedTuple):

@@ -14,7 +14,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.rehearsal import rehearse
 from experiments.bench.timing import Figure, calibration, single
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
-from experiments.workers import worker_pool
+from experiments.workers import WorkerPool
 
 ENOUGH = Budget(iterations=20_000)
 METHODS = ("birrt", "roadmap-cvq", "opt-cvq-mpt")
@@ -42,7 +42,7 @@ def bench_throughput(problems: int) -> list[Figure]:
     for name in METHODS:
         for workers in (count for count in WORKERS if count <= len(environments)):
             parts = [environments[first::workers] for first in range(workers)]
-            with worker_pool(workers) as pool:
+            with WorkerPool(workers) as pool:
                 shares = list(pool.map(_work, [name] * workers, parts))
             certified = sum(share.certified for share in shares)
             label = f"{name}, {workers} worker{'s' * (workers > 1)}"

@@ -35,7 +35,7 @@ from cvqmpt_lab.training.shards import (
 )
 from experiments.labels.dataset_card import dataset_card
 from experiments.labels.labelled_scenes import labelled_scene, shard_arrays
-from experiments.workers import worker_pool
+from experiments.workers import WorkerPool
 
 FIRST_SCENE = 10_000_000
 SCENES_PER_SEED = 1_000_000
@@ -135,7 +135,7 @@ def generate(
         count = -(-recipe.scenes // SCENES_PER_SHARD)
         done = {row.shard: row for row in finished_shards(out)}
         on_progress(len(done), count)
-        with worker_pool(jobs) as pool:
+        with WorkerPool(jobs) as pool:
             futures = {pool.submit(recipe.shard, k): k for k in range(count) if k not in done}
             try:
                 for future in as_completed(futures):

@@ -9,6 +9,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
@@ -145,6 +146,49 @@ def test_a_worker_that_dies_costs_its_own_run_only(tmp_path, monkeypatch, jobs):
         ("10", "worker_died"),
     ]
     assert run(three, tmp_path) == rows, "what killed a worker is not tried again"
+
+
+def test_a_worker_that_hangs_is_ended_and_costs_its_own_run_only(tmp_path, monkeypatch):
+    real, limit = runner.outcome_of, 15.0
+
+    def outcome_of(run, item, seconds):
+        if run.item == 10 and run.budget == ENOUGH:
+            (tmp_path / "pid").write_text(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGSTOP)  # does not even hear SIGTERM
+        return real(run, item, seconds)
+
+    monkeypatch.setattr(runner, "outcome_of", outcome_of)
+    monkeypatch.setattr(Experiment, "limit_s", limit)
+    rows = run(Experiment("place-task", (2, 10, 5), ("birrt",), (0,), ENOUGH), tmp_path / "out")
+    assert [(row.problem, row.fail_reason) for row in rows] == [
+        ("2", None),
+        ("5", None),
+        ("10", "worker_hung"),
+    ]
+    assert rows[2].detail == "no answer in 15 s; its process was ended"
+    assert not Path("/proc", (tmp_path / "pid").read_text()).exists()
+
+
+def test_a_run_may_take_far_longer_than_its_budget_before_it_counts_as_hung():
+    def limit(**budget):
+        return Experiment("place-task", (2,), ("birrt",), (0,), Budget(**budget)).limit_s
+
+    assert limit(seconds=10.0) == 600.0
+    assert limit(seconds=10.0, iterations=100) == limit(iterations=100) < limit(iterations=10**6)
+
+
+def test_a_run_that_asks_for_more_memory_than_there_is_costs_itself_only(tmp_path, monkeypatch):
+    real, memory = runner.outcome_of, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+    def outcome_of(run, item, seconds):
+        if run.item == 10 and run.budget == ENOUGH:
+            np.empty(memory, np.uint8)
+        return real(run, item, seconds)
+
+    monkeypatch.setattr(runner, "outcome_of", outcome_of)
+    rows = run(Experiment("place-task", (10, 2), ("birrt",), (0,), ENOUGH), tmp_path)
+    assert [(row.problem, row.fail_reason) for row in rows] == [("2", None), ("10", "out_of_memory")]
+    assert "Unable to allocate" in rows[1].detail
 
 
 def test_a_worker_that_something_else_killed_costs_nothing(four_rows, tmp_path, monkeypatch):
