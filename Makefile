@@ -1,4 +1,4 @@
-# make venv | reproduce | test | trust | lint | bench | clean. All but the first make the environment they need.
+# make venv | reproduce | test | docs | trust | lint | bench | clean. All but the first make the environment they need.
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -7,14 +7,15 @@ PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables pytest trust bench clean
+.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs pytest trust bench clean
 
 help:
 	@echo "make venv        .venv to plan and reproduce with, pinned in constraints.txt (PYTHON=python3.11 picks another)"
 	@echo "make venv LOCKED=1   the same from locked.txt, where pip refuses whatever has not the hash that stands there"
 	@echo "make venv-dev    the same with torch and tools, to train, test and develop"
 	@echo "make reproduce   20 problems of the place task, all planners, and their table"
-	@echo "make test        lint, table regression, tests"
+	@echo "make test        lint, table regression, the site with all notebooks run, tests"
+	@echo "make docs        the site in build/site: README, docs, notebooks with their outputs, results, the API"
 	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
 	@echo "make lint        ruff, mypy, import-linter"
 	@echo "make bench       what kernels and planners cost here"
@@ -37,7 +38,7 @@ endif
 venv-dev: $(DEVELOPER)
 
 $(DEVELOPER): $(STAMP)
-	$(PIP) -e '.[dev,train]'
+	$(PIP) -e '.[dev,docs,train]'
 	@touch $@
 
 # What follows is for those who change constraints.txt: hashes, licences and bill of materials, known vulnerabilities.
@@ -73,8 +74,11 @@ check-tables: venv
 pytest: venv-dev
 	$(BIN)/pytest -n 2
 
+docs: venv-dev
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
+
 # Tests come last, so that their summary is the last thing printed.
-test: lint warmup check-tables pytest
+test: lint warmup check-tables docs pytest
 
 trust: venv-dev warmup
 	nice $(BIN)/cvqmpt trust --long --record docs/guarantees.md

@@ -2,7 +2,7 @@
 
 `PlanningProblem` checks its own shape; `check_problem` checks it against the world (collision,
 manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-problem/1``, which
-`schemas/problem.schema.json` describes for editors:
+`schemas/problem.schema.json` describes for editors::
 
     {"schema": "cvqmpt-problem/1", "name": "...",
      "robot": {"name": "panda", "finger_opening": 0.04}
