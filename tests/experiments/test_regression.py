@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods import table
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.prediction.latent_optimizer import LatentObjective
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import RunStore
 from experiments import regression
@@ -73,6 +75,54 @@ def test_a_broken_planner_turns_red_also_on_another_machine(few, monkeypatch):
     assert [line.partition(": ")[2] for line in found.differences] == [
         "fail_reason was None, is iteration_limit"
     ] * 2
+
+
+TOUCHED = tuple(Case(planner, 5, 0, 20_000) for planner in ("birrt", "cvq-mpt", "opt-cvq-mpt"))
+
+
+@pytest.fixture(scope="module")
+def honest():
+    """Outcomes of TOUCHED by everything as it is."""
+    return measure(TOUCHED)
+
+
+def means_alone(mixture, rng, count):
+    """A sampler that forgets its covariances."""
+    return mixture.means[rng.choice(len(mixture.means), count, p=mixture.weights)]
+
+
+def uphill(objective, *arguments, original=LatentObjective.value_and_gradient):
+    """A gradient with the wrong sign."""
+    value, gradient = original(objective, *arguments)
+    return value, -gradient
+
+
+def to_one_goal(planner, space, start, goals, *rest, original=BiRRT.search):
+    """A planner that overlooks all goals but the first."""
+    return original(planner, space, start, goals[:1], *rest)
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "broken", "turn_red"),
+    [
+        (GaussianMixture, "sample", means_alone, ["cvq-mpt", "opt-cvq-mpt"]),
+        (LatentObjective, "value_and_gradient", uphill, ["opt-cvq-mpt"]),
+        (BiRRT, "search", to_one_goal, ["birrt", "cvq-mpt", "opt-cvq-mpt"]),
+    ],
+    ids=["sampler", "optimizer", "planner"],
+)
+def test_a_part_broken_on_purpose_turns_red_those_that_use_it(
+    honest, tmp_path, monkeypatch, capsys, where, name, broken, turn_red
+):
+    monkeypatch.setattr(regression, "CASES", TOUCHED)
+    Expectations(made_with(), honest).save(tmp_path / "e.json")
+    words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(tmp_path)]
+    assert main(words) == 0
+    monkeypatch.setattr(where, name, broken)
+    capsys.readouterr()
+    assert main(words) == 1
+    red = [line.split()[1].rstrip(",") for line in capsys.readouterr().out.splitlines() if "differs:" in line]
+    assert red == turn_red
 
 
 def outcome(seed=0, planner="birrt", **values):
