@@ -5,7 +5,7 @@ from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from paper_tables.claims import judged_claims
+from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import PAGE, committed_pages, page_text
 from paper_tables.committed import RESULTS, committed_directories
 
@@ -46,4 +46,4 @@ def pages_of(results: Path) -> dict[Path, str]:
 
 def verdict_lines(results: Path) -> list[str]:
     """A line a claim."""
-    return [f"{item.verdict:22} {item.claim.title}" for item in judged_claims(results)]
+    return [f"{item.verdict:22} {item.claim.title}" for item in judged_claims(evidence_below(results))]

@@ -16,6 +16,8 @@ COMMANDS = {
     "reproduce": "run a suite of problems or tasks and write its rows and tables",
     "figure": "make a figure of the paper, with its numbers",
     "claims": "judge every claim of the paper by rows, and write the page that says so",
+    "report": "write one html file about results: verdicts, tables, plots, rows",
+    "compare": "say what changed between two runs of the same problems",
     "table": "render the tables of a results directory",
     "problems": "list or export the problems of a suite, or write one to start from",
     "scan": "make a clean cloud or a scene of depth images or clouds",

@@ -7,14 +7,18 @@ from pathlib import Path
 
 from cli.options import ProgressBar, add_model, positive_int
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
+from cli.reproduce_all import reproduce_all
 from cli.table_command import show_tables
 from cvqmpt_lab.methods.table import PLANNERS
 from experiments.cluster import dask_cluster
+from experiments.everything import PROFILES
 from experiments.run import Experiment, default_jobs, run_experiment
 from experiments.suites.table import SUITES, suite_named
 from experiments.warmup import compile_kernels
 
+ALL = "all"
 EXAMPLES = (
+    "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out runs/can",
     "cvqmpt reproduce multi-sequence --problems 2 --planners birrt,guided-birrt",
@@ -24,11 +28,14 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Suite, how much of it, with which planners, and where to."""
-    parser.add_argument("suite", help=f"what to reproduce: {', '.join(SUITES)}")
+    parser.add_argument("suite", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
+    parser.add_argument(
+        "--profile", default="full", help=f"of {ALL}: {' or '.join(PROFILES)} (full, a night)"
+    )
     parser.add_argument(
         "--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)"
     )
-    parser.add_argument("--seeds", type=positive_int, default=1, metavar="K", help="seeds 0 to K-1 (1)")
+    parser.add_argument("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
     parser.add_argument(
         "--planners", type=planner_list, metavar="A,B", help=f"of {', '.join(PLANNERS)} (all that can)"
     )
@@ -45,12 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing in --out, then render its tables."""
+    if args.suite == ALL:
+        return reproduce_all(args)
     suite = suite_named(args.suite)
     experiment = Experiment(
         suite=suite.name,
         problems=tuple(suite.problems[: args.problems]),
         planners=tuple(suite.planners) if args.planners is None else args.planners,
-        seeds=tuple(range(args.seeds)),
+        seeds=tuple(range(args.seeds or 1)),
         budget=budget(args),
         backend=args.backend,
         model=args.model,

@@ -1,7 +1,7 @@
 """Every claim of the paper, judged by committed rows: does it hold?"""
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -191,13 +191,8 @@ CLAIMS = (
 )
 
 
-def judged_claims(results: Path) -> list[JudgedClaim]:
-    """Every claim by the results directories below `results`; those that are missing say nothing."""
-    found = {
-        name: evidence
-        for name in {name for claim in CLAIMS for name in claim.judges}
-        if (evidence := read_evidence(results / name)) is not None
-    }
+def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
+    """Every claim by results directories, by name; those that are missing say nothing."""
     return [
         JudgedClaim(
             claim,
@@ -206,6 +201,12 @@ def judged_claims(results: Path) -> list[JudgedClaim]:
         )
         for claim in CLAIMS
     ]
+
+
+def evidence_below(results: Path) -> dict[str, Evidence]:
+    """The results directories below a folder, by name."""
+    folders = sorted(path.parent for path in Path(results).glob(f"*/{PROVENANCE_FILE}"))
+    return {folder.name: found for folder in folders if (found := read_evidence(folder)) is not None}
 
 
 def read_evidence(folder: Path) -> Evidence | None:

@@ -10,7 +10,7 @@ from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import sessions
 from cvqmpt_lab.results.statistics import Interval
 from paper_tables.cells import Lines, estimate, markdown_table
-from paper_tables.claims import Evidence, JudgedClaim, judged_claims, read_evidence
+from paper_tables.claims import Evidence, JudgedClaim, evidence_below, judged_claims
 from paper_tables.committed import RESULTS
 from paper_tables.comparison import own_time, paired_ratio, paper_cost, share, work
 from paper_tables.paper_numbers import PUBLISHED, read_published
@@ -95,7 +95,8 @@ def box_lines(claims: Iterable[JudgedClaim]) -> Lines:
 
 def page_text(results: Path, root: Path) -> str:
     """The page; links go from the folder `root`."""
-    claims = judged_claims(results)
+    found = evidence_below(results)
+    claims = judged_claims(found)
     parts = [
         "# Does the paper hold?\n",
         "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained Motion Planning "
@@ -105,9 +106,9 @@ def page_text(results: Path, root: Path) -> str:
         "".join(f"- {line}\n" for line in TERMS),
         *(section(item, root) for item in claims),
     ]
-    place = read_evidence(results / "place-task")
-    if place is not None:
-        parts += ["## Every planner by the same yardsticks, place task\n", markdown_table(yardsticks(place))]
+    if "place-task" in found:
+        lines = yardsticks(found["place-task"])
+        parts += ["## Every planner by the same yardsticks, place task\n", markdown_table(lines)]
     return "\n".join(parts)
 
 
@@ -183,7 +184,7 @@ def yardsticks(evidence: Evidence) -> Lines:
 
 def box_text(results: Path) -> str:
     """The short table between its marks."""
-    return f"{BEGIN}\n{markdown_table(box_lines(judged_claims(results)))}{END}"
+    return f"{BEGIN}\n{markdown_table(box_lines(judged_claims(evidence_below(results))))}{END}"
 
 
 def with_box(text: str, box: str) -> str:

@@ -63,6 +63,11 @@ TABLES: Mapping[str, SuiteTable] = {
 """By suite; the rows of others are rendered as problems of that name, without numbers of the paper."""
 
 
+def table_of(suite: str) -> SuiteTable:
+    """How the rows of a suite are rendered."""
+    return TABLES.get(suite, SuiteTable(f"Suite {suite}"))
+
+
 @dataclass(frozen=True)
 class RenderedFiles:
     """What was written beside the rows, and the lines that a terminal shows."""
@@ -82,7 +87,7 @@ def render_directory(directory: Path) -> RenderedFiles:
     directory = Path(directory)
     rows = rows_of_one_suite(directory_rows(directory))
     record = ProvenanceFile(directory).read()
-    table = TABLES.get(rows[0].suite, SuiteTable(f"Suite {rows[0].suite}"))
+    table = table_of(rows[0].suite)
     paper = read_published(*table.paper) if table.paper else ()
     made, head = table.render(rows, paper), _head(record, len(rows))
     texts = {

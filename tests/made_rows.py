@@ -1,6 +1,9 @@
 """Rows for tests that need no run."""
 
-from cvqmpt_lab.results.row import ResultRow
+import json
+
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, write_rows
 
 CONFIGURATION = {"suite": "place", "cutoff_s": 10.0, "tolerance": {"rad": 0.1}}
 
@@ -16,3 +19,24 @@ def a_failure(problem="place_0", planner="birrt", **values):
 
 def names(directory):
     return sorted(path.name for path in directory.iterdir())
+
+
+def a_results_folder(tmp_path, **times):
+    """Place-task rows of 30 problems; times [s] by planner, dashes as underscores, None for failures."""
+    folder = tmp_path / "place-task"
+    folder.mkdir()
+    rows = []
+    for name, time in times.items():
+        values = {"suite": "place-task", "planner": name.replace("_", "-")}
+        for k in range(30):
+            if time is None:
+                rows.append(a_failure(f"p{k}", **values, t_total_s=10.0))
+                continue
+            work = {"n_projections": 10, "n_state_checks": round(1000 * time), "vertices": 5}
+            rows.append(
+                a_row(f"p{k}", **values, t_total_s=time * (1.0 + 0.01 * k), path_length_rad=6.0, **work)
+            )
+    write_rows(folder / RUNS_FILE, rows)
+    record = {"configuration": {"suite": "place-task"}, "command": ["cvqmpt", "x"], "wall_s": 300.0}
+    (folder / PROVENANCE_FILE).write_text(json.dumps(record))
+    return tmp_path

@@ -1,38 +1,13 @@
 """Whether the paper holds: verdicts from rows, and the pages that tell them."""
 
-import json
-
 import pytest
-from made_rows import a_failure, a_row
+from made_rows import a_results_folder
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE
-from cvqmpt_lab.results.row import RUNS_FILE, write_rows
-from paper_tables.claims import judged_claims
+from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import BEGIN, END, box_lines, committed_pages, page_text, stale_pages, with_box
 
 FASTER, SHORTER, SOLVES, PLANNING, *_, COMPLETE = range(9)
-
-
-def a_results_folder(tmp_path, **times):
-    """Place-task rows of 30 problems; times [s] by planner, dashes as underscores, None for failures."""
-    folder = tmp_path / "place-task"
-    folder.mkdir()
-    rows = []
-    for name, time in times.items():
-        values = {"suite": "place-task", "planner": name.replace("_", "-")}
-        for k in range(30):
-            if time is None:
-                rows.append(a_failure(f"p{k}", **values, t_total_s=10.0))
-                continue
-            work = {"n_projections": 10, "n_state_checks": round(1000 * time), "vertices": 5}
-            rows.append(
-                a_row(f"p{k}", **values, t_total_s=time * (1.0 + 0.01 * k), path_length_rad=6.0, **work)
-            )
-    write_rows(folder / RUNS_FILE, rows)
-    record = {"configuration": {"suite": "place-task"}, "command": ["cvqmpt", "x"], "wall_s": 300.0}
-    (folder / PROVENANCE_FILE).write_text(json.dumps(record))
-    return tmp_path
 
 
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
@@ -51,12 +26,12 @@ def test_a_claim_holds_where_all_its_statements_stand(tmp_path, uniform, verdict
     results = a_results_folder(tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, ompl_projected=3.0, birrt=uniform)
     if uniform is None:  # nothing that both solved: not judged, so it does not stand
         verdict = "holds in part"
-    assert judged_claims(results)[FASTER].verdict == verdict
+    assert judged_claims(evidence_below(results))[FASTER].verdict == verdict
 
 
 def test_a_claim_does_not_hold_where_none_stands_and_is_not_judged_without_rows(tmp_path):
     results = a_results_folder(tmp_path, cvq_mpt=3.0, opt_cvq_mpt=None, ompl_projected=1.0, birrt=1.0)
-    claims = judged_claims(results)
+    claims = judged_claims(evidence_below(results))
     assert claims[FASTER].verdict == claims[SHORTER].verdict == "does not hold here"
     assert claims[SOLVES].verdict == "holds in part"  # one planner of two
     assert claims[PLANNING].verdict == "not run" and claims[COMPLETE].verdict == "cannot be tested here"
@@ -71,7 +46,7 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     assert "*confirmed* against ompl-projected; *not confirmed: no clear difference* against birrt" in page
     assert "`cvqmpt x`: wall-clock 5 min" in page and "(place-task/runs.csv)" in page
     assert "| new-one " in page, "a planner that nobody has listed stands among the others"
-    assert len(box_lines(judged_claims(results))) == 1 + 9
+    assert len(box_lines(judged_claims(evidence_below(results)))) == 1 + 9
 
 
 def test_the_box_replaces_what_stands_between_its_marks_alone():

@@ -1,0 +1,27 @@
+"""`cvqmpt compare`: what changed between two runs of the same problems."""
+
+import argparse
+from pathlib import Path
+
+from paper_tables.cells import padded
+from paper_tables.render import directory_rows
+from paper_tables.run_comparison import clear, compared, comparison_lines
+
+EXAMPLES = ("cvqmpt compare runs/before runs/after",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Two results directories."""
+    parser.add_argument("before", type=Path, metavar="A", help="a results directory")
+    parser.add_argument(
+        "after", type=Path, metavar="B", help="another one, of the same suite, problems and seeds"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Pair, compare and tell."""
+    found = compared(directory_rows(args.before), directory_rows(args.after))
+    print(f"from A, {args.before}, to B, {args.after}; changes over runs that both solved, 95 % intervals")
+    print("\n".join("  ".join(line).rstrip() for line in padded(comparison_lines(found))))
+    print("\n".join(clear(found) or ["no clear change"]))
+    return 0

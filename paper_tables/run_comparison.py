@@ -1,0 +1,114 @@
+"""Two runs of the same problems, before and after a change: what is different, paired by problem and seed."""
+
+from collections.abc import Collection, Mapping, Sequence
+from operator import attrgetter
+from typing import NamedTuple
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import Interval
+from paper_tables.cells import Lines, number
+from paper_tables.claims_page import change
+from paper_tables.comparison import Value, paired_ratio, share, work
+from paper_tables.statements import less
+from paper_tables.summary import by_planner
+
+VALUES: Mapping[str, Value] = {
+    "time": attrgetter("t_total_s"),
+    "work": work,
+    "length": attrgetter("path_length_rad"),
+}
+MOST_NAMES = 3
+"""Runs that a refusal names."""
+
+Pair = tuple[str, int]
+"""Problem and seed."""
+
+
+class Compared(NamedTuple):
+    """One planner in two runs, A and B."""
+
+    planner: str
+    pairs: int
+    solved: tuple[Interval, Interval]
+    """Percentages."""
+    gained: tuple[Pair, ...]
+    """That B alone solves."""
+    lost: tuple[Pair, ...]
+    """That A alone solves."""
+    changes: Mapping[str, Interval]
+    """Of VALUES from A to B, as reductions (fractions), over the runs that both solve."""
+    same_paths: int
+    """Runs whose paths are equal bit for bit."""
+
+
+def compared(a: Sequence[ResultRow], b: Sequence[ResultRow]) -> list[Compared]:
+    """Every planner that both have.
+
+    Raises
+    ------
+    InvalidInputError
+        When the runs are of other suites, have no planner in common, or a planner's problems and seeds differ.
+    """
+    suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
+    if suites[0] != suites[1]:
+        raise InvalidInputError(
+            f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; compare equal suites"
+        )
+    groups = by_planner(a, ()), by_planner(b, ())
+    common = [name for name in groups[0] if name in groups[1]]
+    if not common:
+        raise InvalidInputError(
+            f"no planner in common: A has {', '.join(groups[0])}, B has {', '.join(groups[1])}; run one in both"
+        )
+    return [_compared(name, groups[0][name], groups[1][name]) for name in common]
+
+
+def _compared(planner: str, a: Sequence[ResultRow], b: Sequence[ResultRow]) -> Compared:
+    rows = [{(row.problem, row.seed): row for row in run} for run in (a, b)]
+    for here, there, what in ((rows[0], rows[1], "A"), (rows[1], rows[0], "B")):
+        alone = [pair for pair in here if pair not in there]
+        if alone:
+            raise InvalidInputError(
+                f"{planner}: {len(alone)} runs are in {what} alone ({named(alone)}); run the same problems and seeds"
+            )
+    pairs = [(pair, rows[0][pair], rows[1][pair]) for pair in rows[0]]
+    return Compared(
+        planner=planner,
+        pairs=len(pairs),
+        solved=(share(a, attrgetter("solved")), share(b, attrgetter("solved"))),
+        gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
+        lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
+        changes={name: less(paired_ratio(b, a, value)) for name, value in VALUES.items()},
+        same_paths=sum(old.path_sha256 == new.path_sha256 is not None for _, old, new in pairs),
+    )
+
+
+def named(pairs: Collection[Pair]) -> str:
+    """The first of some runs by problem and seed."""
+    told = [f"problem {problem} seed {seed}" for problem, seed in list(pairs)[:MOST_NAMES]]
+    return ", ".join([*told, "…"] if len(pairs) > MOST_NAMES else told)
+
+
+def comparison_lines(found: Sequence[Compared]) -> Lines:
+    """A line a planner."""
+    lines = [["planner", "runs", "solved A, B [%]", *(f"{name} [%]" for name in VALUES), "same paths"]]
+    for item in found:
+        solved = ", ".join(number(part.estimate) for part in item.solved)
+        changes = [change(part) if part.estimate is not None else "–" for part in item.changes.values()]
+        lines.append([item.planner, str(item.pairs), solved, *changes, str(item.same_paths)])
+    return lines
+
+
+def clear(found: Sequence[Compared]) -> list[str]:
+    """A line for every change whose interval leaves no doubt, and for runs that were gained or lost."""
+    lines = []
+    for item in found:
+        for name, part in item.changes.items():
+            if part.low is not None and part.high is not None and (part.low > 0.0 or part.high < 0.0):
+                word = "less" if part.low > 0.0 else "more"
+                lines.append(f"{item.planner}: {word} {name}, {change(part)} %")
+        for word, pairs in (("gained", item.gained), ("lost", item.lost)):
+            if pairs:
+                lines.append(f"{item.planner}: {word} {len(pairs)}: {named(pairs)}")
+    return lines

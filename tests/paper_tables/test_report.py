@@ -1,0 +1,103 @@
+"""The html report: what it holds, that names are text, and that a browser reads it without a complaint."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+from made_rows import a_failure, a_results_folder, a_row
+
+from cli.main import main
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from paper_tables.report.page import report_html
+from paper_tables.report.repricing import COSTS, NEVER, repriced
+from paper_tables.report.sections import blocks
+
+EVIL = "<script>alert(1)</script>$x$"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = a_results_folder(
+        tmp_path_factory.mktemp("results"), cvq_mpt=1.0, opt_cvq_mpt=0.8, ompl_projected=4.0, birrt=2.0
+    )
+    path = folder / "place-task" / RUNS_FILE
+    rows = [a_row(f"p{k}", EVIL, suite="place-task", t_total_s=1.0, path_length_rad=5.0) for k in range(9)]
+    write_rows(path, [*read_rows(path), *rows, a_failure("p9", EVIL, suite="place-task", detail="</table>&")])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(results):
+    return report_html(results)
+
+
+def test_a_report_holds_verdicts_plots_rows_and_where_they_come_from(page):
+    for text in ("Does the paper hold?", "holds in part", "Solved against time", "Cost ledger", "Provenance"):
+        assert text in page
+    assert page.count("<svg") == 7 and "cvqmpt plan place-task --problem PROBLEM" in page
+    assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
+
+
+def test_it_needs_no_network(page):
+    fetched = re.findall(r'(?:src|href)="([^"]*)"', page) + re.findall(r"url\(([^)]*)\)", page)
+    assert all(target.startswith(("#", "data:")) for target in fetched)
+    assert "@import" not in page
+
+
+def test_names_from_rows_are_text(page):
+    assert "<script>alert" not in page and "</table>&" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
+
+
+def test_learning_pays_where_its_interval_is_below_one():
+    def rows(planner, checks, network):
+        work = {"n_projections": 0, "n_state_checks": checks, "t_predict_s": network}
+        return [a_row(f"p{k}", planner, **work) for k in range(5)]
+
+    groups = {
+        "birrt": rows("birrt", 1000, 0.0),
+        "learned": rows("learned", 100, 0.09),
+        "worse": rows("worse", 2000, 0.0),
+    }
+    learned, worse = repriced(groups)
+    assert worse.pays == NEVER
+    dear = [cost for cost in COSTS if 100 * cost + 0.09 < 1000 * cost]  # from 0.1 ms
+    assert [ratio.high < 1.0 for ratio in learned.ratios] == [cost in dear for cost in COSTS]
+    assert learned.pays == "111 µs to 35.0 ms" and repriced({"learned": groups["learned"]}) == ()
+
+
+def test_markdown_of_tables_is_read_back():
+    first, second = blocks("## One\n\n| a | b |\n| --- | --- |\n| x\\|y | 2 |\n\n## Two\n\n- note\n")
+    assert first.title == "One" and first.lines == (("a", "b"), ("x|y", "2"))
+    assert second.texts == ("note",) and second.lines == ()
+
+
+def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys, results, tmp_path):
+    assert main(["report", str(results / "place-task"), "--out", str(tmp_path / "r.html")]) == 0
+    assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "holds none; make one with" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt install chromium)")
+def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
+    (tmp_path / "r.html").write_text(page)
+    arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--dump-dom"]
+    done = subprocess.run(
+        [
+            CHROMIUM,
+            *arguments,
+            "--enable-logging=stderr",
+            f"--user-data-dir={tmp_path}",
+            (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=True,
+    )
+    assert "CONSOLE" not in done.stderr
+    assert "<dialog" in done.stdout and "opt-cvq-mpt: rows of place-task" in done.stdout, "the script ran"
+    assert re.search(r'class="ratio">[\d.]+ \[', done.stdout), "the slider's numbers are shown"

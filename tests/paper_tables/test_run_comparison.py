@@ -1,0 +1,65 @@
+"""Two runs compared: pairs, intervals, and runs that do not pair."""
+
+import pytest
+from made_rows import a_failure, a_results_folder, a_row
+
+from cli.main import main
+from cvqmpt_lab.errors import InvalidInputError
+from paper_tables.run_comparison import clear, compared, comparison_lines
+
+
+def run(time, solved=range(20), planner="birrt", **values):
+    """Rows of 20 problems with two seeds."""
+    return [
+        a_row(f"p{k}", planner, seed=seed, t_total_s=time * (1 + 0.01 * k), path_length_rad=5.0, **values)
+        if k in solved
+        else a_failure(f"p{k}", planner, seed=seed, t_total_s=9.0)
+        for k in range(20)
+        for seed in (0, 1)
+    ]
+
+
+def test_a_change_is_told_with_its_interval_and_equal_numbers_are_no_change():
+    (found,) = compared(run(1.0), run(0.5))
+    assert found.pairs == 40 and found.changes["time"].estimate == pytest.approx(0.5)
+    assert found.changes["length"].estimate == 0.0 and found.changes["time"].n == 20
+    assert clear([found]) == ["birrt: less time, −50.0 [−50.0, −50.0] %"]
+    assert clear(compared(run(1.0), run(1.0))) == []
+
+
+def test_runs_gained_and_lost_are_named():
+    (found,) = compared(run(1.0, range(1, 20)), run(1.0, range(19)))
+    assert found.gained == (("p0", 0), ("p0", 1)) and found.lost == (("p19", 0), ("p19", 1))
+    assert "birrt: lost 2: problem p19 seed 0, problem p19 seed 1" in clear([found])
+    assert found.changes["time"].n == 18
+
+
+def test_equal_paths_are_counted_and_paths_that_are_not_there_are_not():
+    (found,) = compared(run(1.0, path_sha256="ab" * 32), run(1.0, path_sha256="ab" * 32))
+    assert found.same_paths == 40 and compared(run(1.0), run(1.0))[0].same_paths == 0
+    assert comparison_lines([found])[1][-1] == "40"
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        (run(1.0)[:-1], "1 runs are in A alone (problem p19 seed 1)"),
+        ([*run(1.0), a_row("p99")], "1 runs are in B alone (problem p99 seed 0)"),
+        (run(1.0, planner="mpnet"), "no planner in common: A has birrt, B has mpnet"),
+        ([a_row(suite="sensor")], "runs of place do not pair with runs of sensor"),
+    ],
+)
+def test_runs_that_do_not_pair_are_refused_by_name(other, says):
+    with pytest.raises(InvalidInputError) as refused:
+        compared(run(1.0), other)
+    assert says in str(refused.value)
+
+
+def test_the_command_compares_two_directories(capsys, tmp_path):
+    for name, time in (("a", 1.0), ("b", 0.5)):
+        (tmp_path / name).mkdir()
+        a_results_folder(tmp_path / name, birrt=time)
+    assert main(["compare", str(tmp_path / "a" / "place-task"), str(tmp_path / "b" / "place-task")]) == 0
+    out = capsys.readouterr().out
+    assert "birrt: less time, −50.0" in out and "birrt: less work" in out
+    assert main(["compare", str(tmp_path), str(tmp_path / "b" / "place-task")]) == 2
