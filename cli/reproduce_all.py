@@ -19,7 +19,7 @@ from paper_tables.render import render_directory
 OUT = Path("runs/all")
 HISTOGRAM = ("histogram", 7)
 """The figure, and the problem that it is of."""
-FIXED = ("problems", "seeds", "planners", "model", "cutoff", "iterations")
+FIXED = ("problems", "seeds", "planners", "model", "cutoff", "iterations", "optimize")
 
 
 def reproduce_all(args: argparse.Namespace) -> int:
