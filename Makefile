@@ -60,7 +60,8 @@ warmup: venv
 	$(BIN)/cvqmpt warmup
 
 reproduce: warmup
-	$(BIN)/cvqmpt reproduce place-task --problems 20 --seeds 1 --cutoff 10 --out runs/place-task-small
+	@$(BIN)/cvqmpt reproduce place-task --problems 20 --seeds 1 --cutoff 10 --out runs/place-task-small
+	@$(BIN)/cvqmpt report runs/place-task-small
 
 lint: venv-dev
 	$(BIN)/ruff check .

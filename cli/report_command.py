@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write it."""
-    print(f"written {write_report(args.directory, args.out)}")
+    print(f"report, for a browser: {write_report(args.directory, args.out)}")
     return 0
 
 

@@ -41,5 +41,5 @@ def show_tables(directory: Path) -> None:
     """Render a directory, print a line a planner, and say where the rest lies."""
     written = render_directory(directory)
     print("\n".join(written.brief))
-    print(f"intervals, work, failures and notes: {written.paths[0]}")
-    print(f"also: {', '.join(path.name for path in (*written.paths[1:], directory / 'runs.csv'))}")
+    names = ", ".join(path.name for path in (*written.paths[1:], directory / "runs.csv"))
+    print(f"all numbers: {written.paths[0]} ({names})")

@@ -3,6 +3,7 @@
 import io
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -18,7 +19,7 @@ from paper_tables.report.repricing import COSTS, Repriced, duration
 
 Groups = Mapping[str, Sequence[ResultRow]]
 """Rows by planner."""
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "cvqmpt",
     "text.parse_math": False,

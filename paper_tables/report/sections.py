@@ -167,7 +167,7 @@ def _provenance(evidence: Evidence) -> dict[str, str]:
 
 def _pictures(folder: Path) -> dict[str, str]:
     """Pictures beside the rows; of one that is there in two forms, the first."""
-    found = {}
+    found: dict[str, str] = {}
     for kind, mime in PICTURES.items():
         for path in sorted(folder.glob(f"*{kind}")):
             if (
