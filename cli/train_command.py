@@ -14,12 +14,13 @@ from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.runner import STAGES, Request, run_training
 
-SIGHT = "sight"
-"""Trained in seconds, by kernels at hand, unlike the others."""
+PARTS = {"sight": 400, "sequences": 1600}
+"""Small parts of a model, trained in minutes by kernels at hand, and the scenes that are enough for them."""
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train stage2 --profile compact --data data/paths --dictionary runs/dictionary --out runs/model",
     "cvqmpt train sight --data data/roadmap --out runs/seeing",
+    "cvqmpt train sequences --data data/roadmap --model runs/seeing --out runs/sequences",
     "cvqmpt train mpnet --profile compact --data data/paths --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
     "cvqmpt train stage1 --config mine.json --data data/paths --out runs/mine",
@@ -30,7 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     parser.add_argument(
         "stage",
-        help=f"what to train: {', '.join(STAGES)}; or {SIGHT}: gives a model eyes, from data with --labels roadmap",
+        help=f"what to train: {', '.join(STAGES)}; or {', '.join(PARTS)}: a model's eyes, then what "
+        "codes they make of a scene, from data with --labels roadmap",
     )
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
@@ -41,7 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="DIR", help="state, curves and model/ go there; continued if it is there"
     )
     parser.add_argument("--dictionary", type=Path, metavar="DIR", help="for stage2: --out of stage1")
-    parser.add_argument("--model", metavar="DIR", help="for sight: whom to give eyes (the shipped VQ-MPT)")
+    parser.add_argument(
+        "--model", metavar="DIR", help=f"for {', '.join(PARTS)}: whose they are (the shipped VQ-MPT)"
+    )
+    parser.add_argument(
+        "--scenes", type=positive_int, metavar="N", help=f"for {', '.join(PARTS)}: learn from so many at most"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
     parser.add_argument("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
@@ -65,14 +72,8 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
-    if args.stage == SIGHT:
-        from experiments.labels.sight_training import train_eyes  # kernels, which a bare machine has not
-
-        motions = train_eyes(
-            args.data, args.out, args.model, args.seed, {"provenance": origin}, ProgressBar(SIGHT)
-        )
-        print(f"learned from {motions} motions; model in {args.out / 'model'}")
-        return 0
+    if args.stage in PARTS:
+        return _train_part(args, {"provenance": origin})
     request = Request(
         stage=args.stage,
         profile=profile,
@@ -99,6 +100,17 @@ def run(args: argparse.Namespace) -> int:
     if not outcome.finished:
         print("stopped after --minutes; the same command continues", file=sys.stderr)
     print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
+    return 0
+
+
+def _train_part(args: argparse.Namespace, metadata: dict) -> int:
+    from experiments.labels import part_training  # kernels, which a bare machine has not
+
+    train = {"sight": part_training.train_eyes, "sequences": part_training.train_code_sequences}[args.stage]
+    scenes = args.scenes or PARTS[args.stage]
+    request = part_training.PartRequest(args.data, args.out, args.model, args.seed, scenes, metadata)
+    learned = train(request, ProgressBar(args.stage))
+    print(f"learned from {learned} examples; model in {args.out / 'model'}")
     return 0
 
 

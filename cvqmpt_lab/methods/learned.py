@@ -6,42 +6,40 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
-from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
+from cvqmpt_lab.methods.loaded import (
+    EYES,
+    codebook_of,
+    dictionary_roadmap,
+    eyes_of,
+    model_of,
+    observer,
+    showing_another_scene,
+    wide_observer,
+)
+from cvqmpt_lab.methods.method import Stages, Weights
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.methods.observation import Observer
-from cvqmpt_lab.models.stored import StoredModel, read_model
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, Timings
-from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
-from cvqmpt_lab.planning.sight import Eyes, Sight, SightNetwork
-from cvqmpt_lab.prediction.collision_head import CollisionHead
-from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.planning.sight import Sight
+from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.prediction import Prediction
 from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.prediction.settings import AS_PUBLISHED, PredictorSettings
-from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cameras import CameraSettings
-from cvqmpt_lab.scene.families import family_scene
 
 Build = Callable[[Robot, Weights], Stages]
 """Makes the stages of a method for a robot."""
-ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
-BELIEVED = 0.5  # P(free) below which a node is left out
 GOALS = 3  # nearest goals that the model is asked about; the search gets them all
-POINTS_SEEN = 4096  # of a cloud that distances are measured to
-WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,58 +96,14 @@ class MovedCodes:
         )
 
 
-# ------------------------------------------------------------------ loaded once
-
-
-@lru_cache(maxsize=4)
-def _model(weights: Weights) -> StoredModel:
-    of = SHIPPED[weights.kind]
-    return read_model(resolve_model(weights.model or weights.kind, of), architecture=of)
-
-
-@lru_cache(maxsize=1)
-def _observer() -> Observer:
-    return Observer()
-
-
-@lru_cache(maxsize=1)
-def _wide_observer() -> Observer:
-    return Observer(CameraSettings.like_training(POINTS_SEEN))
-
-
-@lru_cache(maxsize=8)
-def _eyes(weights: Weights, robot: Robot, attachments: tuple[Attachment, ...]) -> Eyes:
-    return Eyes(SightNetwork.of(_model(weights).parts["sight"]), robot, attachments)
-
-
 @lru_cache(maxsize=16)
 def _predictor(weights: Weights, robot: Robot, settings: PredictorSettings) -> Predictor:
-    return Predictor(_model(weights), robot, settings)
+    return Predictor(model_of(weights), robot, settings)
 
 
-@lru_cache(maxsize=4)
-def _collision_head(weights: Weights, robot: Robot) -> CollisionHead:
-    return CollisionHead(_model(weights), robot)
-
-
-@lru_cache(maxsize=8)
-def dictionary_roadmap(weights: Weights, robot: Robot) -> Roadmap:
-    """The dictionary: one configuration drawn from each code's Gaussian."""
-    means, covariances = dictionary_gaussians(_model(weights), robot)
-    nodes = drawn_nodes(means, covariances, robot, np.random.default_rng(ROADMAP_DRAW))
-    return Roadmap.of(nodes, covariances)
-
-
-# ------------------------------------------------------------------ stages by name
-
-
-def predicted(name: str, update: int | None = None, wrong: bool = False, **settings: Any) -> Build:
-    """CVQ-MPT with predictor settings; Opt-CVQ-MPT after `update` latent steps. wrong: shown another scene."""
-    return _cvq_mpt(
-        PredictorSettings(name=name, **settings),
-        None if update is None else LatentSettings(steps=update),
-        partial(_wrong_cloud, _observer()) if wrong else None,
-    )
+def published(name: str, update: int | None) -> Build:
+    """CVQ-MPT by a model of the authors' architecture; Opt-CVQ-MPT after `update` latent steps."""
+    return _cvq_mpt(PredictorSettings(name=name), None if update is None else LatentSettings(steps=update))
 
 
 def as_published(name: str) -> Build:
@@ -157,20 +111,13 @@ def as_published(name: str) -> Build:
     return _cvq_mpt(replace(AS_PUBLISHED, name=name))
 
 
-def _cvq_mpt(
-    settings: PredictorSettings, update: LatentSettings | None = None, observe: CloudOf | None = None
-) -> Build:
+def _cvq_mpt(settings: PredictorSettings, update: LatentSettings | None = None) -> Build:
     def build(robot: Robot, weights: Weights) -> Stages:
         predictor = _predictor(weights, robot, settings)
         moved = None if update is None else MovedCodes(predictor, LatentOptimizer(predictor, update))
-        return Stages(predict=PredictedCodes(predictor), observe=observe or _observer(), update=moved)
+        return Stages(predict=PredictedCodes(predictor), observe=observer(), update=moved)
 
     return build
-
-
-def _wrong_cloud(observer: Observer, problem: PlanningProblem) -> np.ndarray:
-    """The cloud of another scene."""
-    return observer(replace(problem, scene=family_scene(*WRONG_SCENE)))
 
 
 def roadmap_path(wrong: bool = False) -> Build:
@@ -181,11 +128,11 @@ def roadmap_path(wrong: bool = False) -> Build:
 
     def build(robot: Robot, weights: Weights) -> Stages:
         roadmap = dictionary_roadmap(weights, robot)
-        if "sight" not in _model(weights).parts:
+        if EYES not in model_of(weights).parts:
             return Stages(predict=RoadmapPath(roadmap))
         return Stages(
             predict=RoadmapPath(roadmap, see=partial(_sight, weights)),
-            observe=partial(_wrong_cloud, _wide_observer()) if wrong else _wide_observer(),
+            observe=showing_another_scene(wide_observer()) if wrong else wide_observer(),
         )
 
     return build
@@ -194,52 +141,30 @@ def roadmap_path(wrong: bool = False) -> Build:
 def _sight(weights: Weights, query: Query, observation: Observation) -> Sight:
     """What the robot, and what it carries, sees in the cloud."""
     assert observation.cloud is not None
-    return _eyes(weights, query.space.robot, query.space.problem.attachments).look(observation.cloud)
+    return eyes_of(weights, query.space.robot, query.space.problem.attachments).look(observation.cloud)
 
 
-def roadmap_mixture(name: str, check: bool, head: bool = False, update: bool = False) -> Build:
+def roadmap_mixture(name: str, check: bool, update: bool = False) -> Build:
     """Unconstrained roadmap paths as a sampling distribution; without checks, the blind twin.
 
-    head: nodes that the model believes blocked are left out. update: the codes are moved to the manifold.
+    update: the codes are moved to the manifold.
     """
 
     def build(robot: Robot, weights: Weights) -> Stages:
         roadmap = dictionary_roadmap(weights, robot)
-        return Stages(
-            predict=RoadmapMixture(
-                roadmap,
-                name,
-                check,
-                blocked=believed_blocked(weights, roadmap) if head else None,
-                move=moved_to_manifold(weights) if update else None,
-            ),
-            observe=_observer() if head else None,
-        )
+        move = moved_to_manifold(weights) if update else None
+        return Stages(predict=RoadmapMixture(roadmap, name, check, move=move))
 
     return build
-
-
-def believed_blocked(weights: Weights, roadmap: Roadmap) -> Callable[[Query, Observation], np.ndarray]:
-    """Tells which nodes (N,) bool the collision head calls blocked, from the cloud."""
-
-    def blocked(query: Query, observation: Observation) -> np.ndarray:
-        assert observation.cloud is not None
-        head = _collision_head(weights, query.space.robot)
-        return head.free_probability(observation.cloud, roadmap.nodes) < BELIEVED
-
-    return blocked
 
 
 def moved_to_manifold(weights: Weights) -> Callable[[Query, np.ndarray], Gaussians]:
     """Gives Gaussians of codes (r,) after the latent update towards the query's constraint."""
 
     def move(query: Query, codes: np.ndarray) -> Gaussians:
-        predictor = _predictor(weights, query.space.robot, PredictorSettings())
-        z, manifold = predictor.vectors[codes], query.space.problem.manifold
-        moved = LatentOptimizer(predictor).optimize_codes(z, None, manifold, query.rng)
-        gaussians, model = predictor.decoder.decode(moved.z, None), predictor.configurations
-        means = model.radians(gaussians.mean.astype(float))
-        return Gaussians(means, gaussians.covariance * np.outer(model.range, model.range))
+        codebook, manifold = codebook_of(weights, query.space.robot), query.space.problem.manifold
+        moved = LatentOptimizer(codebook).optimize_codes(codebook.vectors[codes], None, manifold, query.rng)
+        return Gaussians(*codebook.gaussians(moved.z))
 
     return move
 
@@ -248,11 +173,11 @@ def true_codes(name: str) -> Build:
     """The codes of an unconstrained path of the very problem: a model that never errs."""
 
     def build(robot: Robot, weights: Weights) -> Stages:
-        means, covariances = dictionary_gaussians(_model(weights), robot)
+        means, covariances = dictionary_gaussians(model_of(weights), robot)
         share = PredictorSettings().uniform_share
 
         def suggest(query: Query, path: JointPath) -> SamplingDistribution:
-            codes = np.unique(codes_of(_model(weights), robot, path.spaced(0.2)))
+            codes = np.unique(codes_of(model_of(weights), robot, path.spaced(0.2)))
             return GaussianMixture.equal(means[codes], covariances[codes], query.uniform, share, name)
 
         return Stages(predict=UnconstrainedPath(suggest))
@@ -262,13 +187,13 @@ def true_codes(name: str) -> Build:
 
 def mpnet(robot: Robot, weights: Weights) -> Stages:
     """MPNet's rollouts."""
-    seen = CameraSettings.like_training(_model(weights).config.n_points)
+    seen = CameraSettings.like_training(model_of(weights).config.n_points)
     return Stages(predict=_rollouts(weights), observe=_mpnet_observer(seen))
 
 
 @lru_cache(maxsize=4)
 def _rollouts(weights: Weights) -> MPNetRollouts:
-    return MPNetRollouts(_model(weights))
+    return MPNetRollouts(model_of(weights))
 
 
 @lru_cache(maxsize=4)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from types import ModuleType
+from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.method import Method, Stages, Weights
@@ -30,9 +31,17 @@ def _learned(name: str, of: Callable[[ModuleType], Callable[..., Stages]], kind:
     return Method(name, build, Weights(kind))
 
 
-def _cvq(name: str, update: int | None = None, wrong: bool = False, **settings: object) -> Method:
-    """CVQ-MPT with predictor settings of its own; Opt-CVQ-MPT after `update` steps."""
-    return _learned(name, lambda learned: learned.predicted(name, update, wrong, **settings))
+def _sequences(name: str, cloud: str | None = None, **options: Any) -> Method:
+    """CVQ-MPT by sequences on the dictionary's graph; cloud: name of a function of `methods.sequences`."""
+
+    def build(robot: Robot, weights: Weights | None) -> Stages:
+        from cvqmpt_lab.methods import sequences
+
+        assert weights is not None
+        shown = None if cloud is None else getattr(sequences, cloud)
+        return sequences.sequences(name, cloud=shown, **options)(robot, weights)
+
+    return Method(name, build, Weights("vq_mpt"))
 
 
 def _roadmap_mixture(name: str, **options: bool) -> Method:
@@ -54,8 +63,10 @@ PLANNERS = _by_name(
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
     _learned("mpnet", lambda learned: learned.mpnet, "mpnet"),
-    _cvq("cvq-mpt"),
-    _cvq("opt-cvq-mpt", update=5),
+    _sequences("cvq-mpt"),
+    _sequences("opt-cvq-mpt", early=True),
+    _sequences("cvq-route", walks=12),
+    _sequences("opt-cvq-route", walks=12, early=True),
     _learned("roadmap-cvq", lambda learned: learned.roadmap_path()),
 )
 
@@ -64,19 +75,21 @@ CONTROLS = _by_name(
     _straight_line("straight-line-only", 0.0),
     _roadmap_mixture("roadmap-sampler", check=True),
     _roadmap_mixture("roadmap-blind", check=False),
-    _roadmap_mixture("roadmap-head", check=False, head=True),
     _roadmap_mixture("roadmap-update", check=True, update=True),
     _learned("roadmap-wrong-cloud", lambda learned: learned.roadmap_path(wrong=True)),
     _learned("true-codes", lambda learned: learned.true_codes("true-codes")),
-    _cvq("cvq-wrong-cloud", wrong=True),
-    _cvq("cvq-union", decoding="sampled"),
-    _cvq("cvq-as-predicted", std_floor=None, uniform_share=0.0),
-    _learned("cvq-as-published", lambda learned: learned.as_published("cvq-as-published")),
-    _cvq("cvq-no-goal-gaussian", goal_gaussian=False),
-    _cvq("cvq-no-uniform", uniform_share=0.0),
-    _cvq("opt-1-step", update=1),
-    _cvq("opt-20-steps", update=20),
+    _sequences("cvq-wrong-cloud", cloud="another_scene"),
+    _sequences("cvq-no-cloud", cloud="no_cloud"),
+    _sequences("cvq-cheapest", cheapest=True),
+    _sequences("cvq-no-uniform", uniform_share=0.0),
+    _sequences("opt-algorithm-2", update=5),
+    _sequences("route-wrong-cloud", walks=12, cloud="another_scene"),
+    _sequences("route-no-cloud", walks=12, cloud="no_cloud"),
+    _sequences("route-cheapest", walks=12, cheapest=True),
 )
+
+PUBLISHED = _by_name(_learned("cvq-as-published", lambda learned: learned.as_published("cvq-as-published")))
+"""On imported weights of the authors' architecture alone."""
 
 WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None)
 
@@ -91,9 +104,9 @@ def planner_named(name: str, model: str | None = None) -> Method:
     InvalidInputError
         When a model is given to a method without weights.
     """
-    found = PLANNERS.get(name) or CONTROLS.get(name)
+    found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
     if found is None:
-        raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS])
+        raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED])
     return found if model is None else found.with_model(model)
 
 

@@ -16,8 +16,9 @@ from cvqmpt_lab.models.weights_folder import CONFIG_FILE, read_description, read
 VQ_MPT, MPNET = "vq-mpt", "mpnet"
 CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
 """Sizes and options of each architecture."""
-PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight"), MPNET: ("mpnet",)}
-"""Files of each architecture; the first is always there, VQ-MPT's second after stage 2, its third if it has eyes."""
+PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight", "sequences"), MPNET: ("mpnet",)}
+"""Files of each architecture; the first is always there, VQ-MPT's second after stage 2, its third if it has eyes, its
+fourth if these show it sequences of codes."""
 
 Arrays = Mapping[str, np.ndarray]
 """Weights by name."""

@@ -40,12 +40,13 @@ class BiRRT:
         distribution: SamplingDistribution,
         budget: Budget,
         rng: np.random.Generator,
+        trees: kernels.Trees | None = None,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`. trees: begun with these ends."""
         began = time.perf_counter()
         deadline = np.inf if budget.seconds is None else began + budget.seconds
         before = space.counters
-        trees = kernels.plant(start, goals, FIRST_CAPACITY)
+        trees = kernels.plant(start, goals, FIRST_CAPACITY) if trees is None else trees
         status, path = PlanStatus.TIMEOUT, None
         used, batch = 0, FIRST_BATCH
         while path is None:
@@ -82,14 +83,14 @@ class BiRRT:
             if status == kernels.FULL:
                 trees = kernels.enlarged(trees)
             elif status == kernels.CONNECTED:
-                path = _checked_path(space, trees)
+                path = checked_tree_path(space, trees)
                 space.reraise()
                 if path is not None:
                     return trees, path
         return trees, None
 
 
-def _checked_path(space: ConstrainedSpace, trees: kernels.Trees) -> JointPath | None:
+def checked_tree_path(space: ConstrainedSpace, trees: kernels.Trees) -> JointPath | None:
     """The path through the meeting nodes, or None after cutting its first grazing motion out."""
     capacity = int(trees.size.sum())
     states = np.empty((capacity, trees.nodes.shape[2]))

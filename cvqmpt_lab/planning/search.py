@@ -35,8 +35,9 @@ def search(method: Search, query: Query, proposal: Proposal) -> PlanResult:
     elif (status := proposal.failure or allowance.spent()) is not None:
         result = allowance.ended(status, sampler)
     else:
+        begun = {} if proposal.trees is None else {"trees": proposal.trees}
         result = method.search(
-            query.space, query.start, query.goals, proposal.distribution, allowance.rest(), query.rng
+            query.space, query.start, query.goals, proposal.distribution, allowance.rest(), query.rng, **begun
         )
     return replace(
         result,

@@ -1,14 +1,13 @@
 """What a robot sees of its surroundings: a cloud as a distance field, and a network that reads clearances."""
 
 from collections import OrderedDict
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search.sight import Sight, fill_distances, judge_motions
 from cvqmpt_lab.planning.collision_arrays import robot_arrays
+from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 
@@ -21,41 +20,10 @@ SPACING = 0.3  # [rad] between the states of a motion that are looked at
 CLOUDS = 4  # remembered
 
 
-@dataclass(frozen=True, eq=False)
-class SightNetwork:
-    """Log odds that a motion is free, from n smallest clearances (over FARTHEST) and its length; two hidden layers."""
-
-    first: np.ndarray
-    """(h, n + 1)."""
-    first_bias: np.ndarray
-    """(h,)."""
-    second: np.ndarray
-    """(k, h)."""
-    second_bias: np.ndarray
-    """(k,)."""
-    last: np.ndarray
-    """(k,)."""
-    last_bias: float
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, np.ndarray]) -> "SightNetwork":
-        """From weights by name, as `training.sight` returns them."""
-        first, first_bias, second, second_bias, last, last_bias = (
-            np.ascontiguousarray(arrays[name], dtype=float)
-            for name in ("first", "first_bias", "second", "second_bias", "last", "last_bias")
-        )
-        return cls(first, first_bias, second, second_bias, last, float(last_bias[0]))
-
-    @classmethod
-    def untrained(cls, n: int) -> "SightNetwork":
-        """For n joints; it gives every motion even odds."""
-        return cls(np.zeros((1, n + 1)), np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.zeros(1), 0.0)
-
-
 class Eyes:
     """A network at work for one robot and what its hand carries; remembers the clouds it saw last."""
 
-    def __init__(self, network: SightNetwork, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> None:
+    def __init__(self, network: SmallNetwork, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> None:
         """Take the balls of the robot's collision geometry.
 
         Raises
@@ -63,27 +31,32 @@ class Eyes:
         InvalidInputError
             When the network is for another number of joints.
         """
-        if network.first.shape[1] != robot.dof + 1:
+        if network.inputs != robot.dof + 1:
             raise InvalidInputError(
-                f"this network looks at {network.first.shape[1] - 1} joints; {robot.name} has {robot.dof}"
+                f"this network looks at {network.inputs - 1} joints; {robot.name} has {robot.dof}"
             )
         geometry = robot_arrays(robot, attachments)
         rows = np.repeat(geometry.body_link, geometry.body_end - geometry.body_start)
         used = (geometry.leaf >= 0) & (rows > 0)
-        self.robot = robot
+        self.robot, self.network = robot, network
         shape = tuple(np.ceil((UPPER - LOWER) / CELL).astype(int))
         ball, row = np.ascontiguousarray(geometry.sphere[used]), np.ascontiguousarray(rows[used])
-        self._blank = _sight(network, robot.dof, np.zeros(shape, dtype=np.uint8), ball, row)
+        self.blank = _sight(network, robot.dof, np.zeros(shape, dtype=np.uint8), ball, row)
         self._seen: OrderedDict[bytes, Sight] = OrderedDict()
+
+    @property
+    def balls(self) -> int:
+        """How many balls stand for the robot."""
+        return len(self.blank.ball)
 
     def look(self, cloud: np.ndarray, anew: bool = False) -> Sight:
         """What a cloud (m, 3) [m, robot base frame] shows, for `RoadmapQuery`; anew: although it was seen lately."""
         key = cloud.tobytes()
         if anew or key not in self._seen:
-            distance = np.empty_like(self._blank.distance)
+            distance = np.empty_like(self.blank.distance)
             points = np.ascontiguousarray(cloud, dtype=float)
             fill_distances(points, LOWER, CELL, np.empty(distance.shape), distance)
-            self._seen[key] = self._blank._replace(distance=distance)
+            self._seen[key] = self.blank._replace(distance=distance)
             if len(self._seen) > CLOUDS:
                 self._seen.popitem(last=False)
         self._seen.move_to_end(key)
@@ -99,10 +72,10 @@ class Eyes:
 def blind(n: int) -> Sight:
     """What a robot of n joints sees that has no eyes; nobody looks at it."""
     nothing = np.zeros((1, 1, 1), dtype=np.uint8)
-    return _sight(SightNetwork.untrained(n), n, nothing, np.zeros((0, 4)), np.zeros(0, dtype=np.int64))
+    return _sight(SmallNetwork.untrained(n + 1), n, nothing, np.zeros((0, 4)), np.zeros(0, dtype=np.int64))
 
 
-def _sight(network: SightNetwork, n: int, distance: np.ndarray, ball: np.ndarray, row: np.ndarray) -> Sight:
+def _sight(network: SmallNetwork, n: int, distance: np.ndarray, ball: np.ndarray, row: np.ndarray) -> Sight:
     """Bundle with work arrays of its own."""
     return Sight(
         origin=LOWER,
@@ -111,10 +84,8 @@ def _sight(network: SightNetwork, n: int, distance: np.ndarray, ball: np.ndarray
         ball=ball,
         row=row,
         spacing=SPACING,
-        features=np.empty(n + 1),
-        hidden=np.empty(len(network.first_bias)),
+        network=network.arrays(),
         state=np.empty(n),
         rotation=np.empty((n + 1, 3, 3)),
         translation=np.empty((n + 1, 3)),
-        **vars(network),
     )

@@ -28,13 +28,10 @@ def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np
     return trajectory_codes(model, given)
 
 
-def drawn_nodes(
-    means: np.ndarray, covariances: np.ndarray, robot: Robot, rng: np.random.Generator
-) -> np.ndarray:
-    """One configuration (codes, n) from each code's Gaussian, inside the limits.
+def drawn_nodes(means: np.ndarray, covariances: np.ndarray, robot: Robot, noise: np.ndarray) -> np.ndarray:
+    """One configuration (codes, n) from each code's Gaussian, inside the limits; noise (codes, n): standard normal.
 
     Means crowd in the middle of where paths pass; draws cover it as training's waypoints do.
     """
-    noise = rng.standard_normal(means.shape)
     draws = means + np.einsum("kij,kj->ki", np.linalg.cholesky(covariances), noise)
     return np.clip(draws, robot.lower, robot.upper)

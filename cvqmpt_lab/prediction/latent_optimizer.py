@@ -16,6 +16,7 @@ import numpy as np
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, CodeGaussians, Refinement
+from cvqmpt_lab.prediction.codebook import Codebook
 from cvqmpt_lab.prediction.prediction import Prediction
 from cvqmpt_lab.prediction.predictor import Predictor
 
@@ -79,7 +80,7 @@ class Optimized:
 class LatentOptimizer:
     """Algorithm 2 for the codes of a prediction, all codes of all goals in one batch."""
 
-    def __init__(self, predictor: Predictor, settings: LatentSettings | None = None) -> None:
+    def __init__(self, predictor: Predictor | Codebook, settings: LatentSettings | None = None) -> None:
         self.settings = LatentSettings() if settings is None else settings
         self._objective = LatentObjective(
             predictor.decoder, predictor.configurations.lower, predictor.configurations.range

@@ -17,6 +17,7 @@ from cvqmpt_lab.models.stored import StoredModel
 from cvqmpt_lab.prediction.cloud_encoder import checked_cloud
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
 from cvqmpt_lab.prediction.code_encoder import code_vectors
+from cvqmpt_lab.prediction.codebook import widened
 from cvqmpt_lab.prediction.compact_network import CompactNetwork
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
 from cvqmpt_lab.prediction.prediction import CodeUnion, Prediction
@@ -171,7 +172,7 @@ class Predictor:
             gaussians = self.decoder.decode(z, prediction.refinement)
             means = self.configurations.radians(gaussians.mean.astype(np.float64))
             covariances = gaussians.covariance * span * span[:, None]
-        covariances = _widened(covariances, max(settings.std_floor or 0.0, SMALLEST_STD))
+        covariances = widened(covariances, max(settings.std_floor or 0.0, SMALLEST_STD))
         if settings.goal_gaussian and not (settings.uniform_without_codes and len(means) == 0):
             goals = prediction.goals
             around = np.broadcast_to(np.diag((GOAL_STD * span) ** 2), (len(goals), len(span), len(span)))
@@ -216,15 +217,3 @@ def _numbers(value: np.ndarray, name: str) -> np.ndarray:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{name} must be numbers: {error}") from error
-
-
-def _widened(covariances: np.ndarray, std: float) -> np.ndarray:
-    """Covariances (c, n, n) without a direction narrower than std."""
-    values, vectors = np.linalg.eigh(covariances)
-    narrow = values[:, 0] < std * std
-    if not narrow.any():
-        return covariances
-    values, vectors = np.maximum(values[narrow], std * std), vectors[narrow]
-    result = covariances.copy()
-    result[narrow] = (vectors * values[:, None, :]) @ vectors.swapaxes(1, 2)
-    return result

@@ -8,10 +8,11 @@ import numpy as np
 from cvqmpt_lab.cameras.camera import cameras_on_sphere
 from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.learned import POINTS_SEEN, WRONG_SCENE, dictionary_roadmap
+from cvqmpt_lab.methods.loaded import POINTS_SEEN, WRONG_SCENE, dictionary_roadmap
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.models.stored import VQ_MPT, read_model
-from cvqmpt_lab.planning.sight import Eyes, SightNetwork
+from cvqmpt_lab.planning.sight import Eyes
+from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.prediction.weights import resolve_model
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, camera_cloud
@@ -44,7 +45,7 @@ def bench_sight(scenes: int) -> list[Figure]:
     model = read_model(resolve_model(None, VQ_MPT, robot))
     if "sight" not in model.parts:
         raise InvalidInputError("the model has no eyes; train some with cvqmpt train sight")
-    eyes = Eyes(SightNetwork.of(model.parts["sight"]), robot)
+    eyes = Eyes(SmallNetwork.of(model.parts["sight"]), robot)
     graph = roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt"), robot))
     wrong = camera_cloud(family_scene(*WRONG_SCENE), AROUND, np.random.default_rng(0))
     figures: list[Figure] = []

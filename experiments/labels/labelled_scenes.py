@@ -206,3 +206,8 @@ def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
     """Joints as 16-bit shares of their range."""
     u = (configurations - robot.lower) / (robot.upper - robot.lower)
     return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)
+
+
+def unpacked(robot: Robot, shares: np.ndarray) -> np.ndarray:
+    """What `packed` stored [rad or m]."""
+    return robot.lower + shares / FULL_SCALE * (robot.upper - robot.lower)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.learned import dictionary_roadmap
+from cvqmpt_lab.methods.loaded import dictionary_roadmap
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot

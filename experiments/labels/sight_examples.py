@@ -49,22 +49,29 @@ def examples_of(
     return Examples(features, odds, free, np.arange(len(free)) >= len(nodes))
 
 
-def training_examples(
-    eyes: Eyes, shards: Iterable[RoadmapShard], scenes: int, rng: np.random.Generator
-) -> Iterator[Examples]:
-    """Some motions of the first `scenes` scenes that train, each in a cloud of its own."""
+def training_scenes(
+    shards: Iterable[RoadmapShard], scenes: int, rng: np.random.Generator
+) -> Iterator[tuple[RoadmapShard, int, np.ndarray]]:
+    """The first `scenes` scenes that train, as rows of their shards, each with a cloud (m, 3) [m] of its own."""
     for shard in shards:
-        arrays, graph = shard.arrays, shard.graph
+        arrays = shard.arrays
         for scene in np.flatnonzero(arrays["scene_seed"] % VALIDATION_EVERY != 0).tolist():
             if scenes == 0:
                 return
             scenes -= 1
             rows = slice(arrays["shape_start"][scene], arrays["shape_start"][scene + 1])
             shapes = Shapes(*(arrays[f"shape_{name}"][rows] for name in ("kind", "size", "pose")))
-            cloud = sample_cloud(shapes, CLOUDS[rng.integers(len(CLOUDS))], rng)
-            chosen = (
-                rng.choice(np.flatnonzero(graph.node_possible), NODES, replace=False),
-                rng.choice(np.flatnonzero(graph.edge_possible), EDGES, replace=False),
-            )
-            verdicts = shard.node_free(scene), shard.edge_free(scene)
-            yield examples_of(eyes, cloud, graph, *verdicts, chosen)
+            yield shard, scene, sample_cloud(shapes, CLOUDS[rng.integers(len(CLOUDS))], rng)
+
+
+def training_examples(
+    eyes: Eyes, shards: Iterable[RoadmapShard], scenes: int, rng: np.random.Generator
+) -> Iterator[Examples]:
+    """Some motions of the first `scenes` scenes that train."""
+    for shard, scene, cloud in training_scenes(shards, scenes, rng):
+        graph = shard.graph
+        chosen = (
+            rng.choice(np.flatnonzero(graph.node_possible), NODES, replace=False),
+            rng.choice(np.flatnonzero(graph.edge_possible), EDGES, replace=False),
+        )
+        yield examples_of(eyes, cloud, graph, shard.node_free(scene), shard.edge_free(scene), chosen)

@@ -18,7 +18,8 @@ from cvqmpt_lab.planning.roadmap import (
     RoadmapSettings,
 )
 from cvqmpt_lab.planning.roadmap_proposals import RoadmapMixture, RoadmapPath
-from cvqmpt_lab.planning.sight import Eyes, SightNetwork
+from cvqmpt_lab.planning.sight import Eyes
+from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.scene.cameras import CameraSettings
 from experiments.suites.place_task import place_problem
@@ -117,7 +118,7 @@ def eyes(problem):
     first = np.zeros((n, n + 1))
     first[:, :n] = -np.eye(n)
     slope = np.full((1, n), 3.0)
-    network = SightNetwork(first, np.full(n, 0.3), slope, np.zeros(1), np.array([-5.0]), 3.0)
+    network = SmallNetwork(first, np.full(n, 0.3), slope, np.zeros(1), np.array([-5.0]), np.array([3.0]))
     return Eyes(network, problem.robot)
 
 

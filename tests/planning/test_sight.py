@@ -7,9 +7,10 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.sight import FARTHEST, NEAREST
 from cvqmpt_lab.planning.collision_arrays import robot_arrays
-from cvqmpt_lab.planning.sight import CELL, Eyes, SightNetwork
+from cvqmpt_lab.planning.sight import CELL, Eyes
+from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.training.sight import SightSettings, train_sight
+from cvqmpt_lab.training.small_network import SmallNetworkSettings, train_sight
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def clearances(cloud, q):
 
 
 def test_clearances_are_those_measured_one_by_one_but_for_half_a_cell(cloud, network):
-    robot, eyes = panda(), Eyes(SightNetwork.of(network), panda())
+    robot, eyes = panda(), Eyes(SmallNetwork.of(network), panda())
     states = robot.random_configurations(np.random.default_rng(2), 50)
     features, _ = eyes.judge(cloud, np.stack([states, states], axis=1))
     truth = np.array([np.clip(clearances(cloud, q), NEAREST, FARTHEST) for q in states])
@@ -57,7 +58,7 @@ def test_clearances_are_those_measured_one_by_one_but_for_half_a_cell(cloud, net
 
 
 def test_a_motion_is_as_near_as_its_nearest_state(cloud, network):
-    robot, eyes = panda(), Eyes(SightNetwork.of(network), panda())
+    robot, eyes = panda(), Eyes(SmallNetwork.of(network), panda())
     a, b = robot.random_configurations(np.random.default_rng(3), 2)
     length = np.linalg.norm(b - a)
     pieces = int(np.ceil(length / 0.3))
@@ -69,7 +70,7 @@ def test_a_motion_is_as_near_as_its_nearest_state(cloud, network):
 
 
 def test_odds_are_those_of_the_network_in_numpy(cloud, network):
-    robot, eyes = panda(), Eyes(SightNetwork.of(network), panda())
+    robot, eyes = panda(), Eyes(SmallNetwork.of(network), panda())
     states = robot.random_configurations(np.random.default_rng(4), 40).reshape(20, 2, 7)
     features, odds = eyes.judge(cloud, states)
     hidden = np.maximum(features @ network["first"].T + network["first_bias"], 0.0)
@@ -81,17 +82,17 @@ def test_training_finds_what_separates_free_from_blocked():
     rng = np.random.default_rng(5)
     features = rng.uniform(-0.6, 1.0, (6000, 8))
     free = features[:, [1, 4]].min(axis=1) > 0.0  # two joints matter
-    sight = train_sight(features, free, seed=0, settings=SightSettings(epochs=20, batch=128))
-    network = SightNetwork.of(sight)
+    sight = train_sight(features, free, seed=0, settings=SmallNetworkSettings(epochs=20, batch=128))
+    network = SmallNetwork.of(sight)
     hidden = np.maximum(features @ network.first.T + network.first_bias, 0.0)
     hidden = np.maximum(hidden @ network.second.T + network.second_bias, 0.0)
     said = hidden @ network.last + network.last_bias > 0.0
     assert (said == free).mean() > 0.95
-    again = train_sight(features, free, seed=0, settings=SightSettings(epochs=20, batch=128))
+    again = train_sight(features, free, seed=0, settings=SmallNetworkSettings(epochs=20, batch=128))
     np.testing.assert_array_equal(sight["first"], again["first"])
 
 
 def test_eyes_of_another_robot_are_refused(network):
-    wide = SightNetwork.untrained(6)
+    wide = SmallNetwork.untrained(7)
     with pytest.raises(InvalidInputError, match="looks at 6 joints; panda has 7"):
         Eyes(wide, panda())

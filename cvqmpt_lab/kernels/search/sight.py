@@ -9,6 +9,7 @@ import numpy as np
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
+from cvqmpt_lab.kernels.search.small_network import SmallNetwork, answer
 
 NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 REACH = 0.25  # [m] distances to the cloud are cut off here: more than the largest ball and FARTHEST
@@ -30,22 +31,8 @@ class Sight(NamedTuple):
     """Pose row of each ball's link."""
     spacing: float
     """At most, between the states of a motion that are looked at [rad]."""
-    first: Annotated[np.ndarray, "hidden inputs"]
-    """Weights: smallest clearance of every joint's balls, then the motion's length."""
-    first_bias: Annotated[np.ndarray, "hidden"]
-    """Of the first layer."""
-    second: Annotated[np.ndarray, "more hidden"]
-    """Weights."""
-    second_bias: Annotated[np.ndarray, "more"]
-    """Of the second layer."""
-    last: Annotated[np.ndarray, "more"]
-    """Weights of the log odds."""
-    last_bias: float
-    """Of the log odds."""
-    features: Annotated[np.ndarray, "inputs"]
-    """Work array."""
-    hidden: Annotated[np.ndarray, "hidden"]
-    """Work array."""
+    network: SmallNetwork
+    """Reads the smallest clearance of every joint's balls, then the motion's length."""
     state: Annotated[np.ndarray, "n"]
     """Work array."""
     rotation: Annotated[np.ndarray, "rows 3 3"]
@@ -108,17 +95,17 @@ def _look(kinematics, sight, q):
         )
         if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= m < shape[2]:
             clearance = sight.distance[i, j, m] * (REACH / STEPS) - radius
-            sight.features[link - 1] = min(sight.features[link - 1], clearance)
+            sight.network.features[link - 1] = min(sight.network.features[link - 1], clearance)
 
 
 @kernel
 def look_along(kinematics, sight, a, b):
-    """Put the network's inputs for the straight motion from a to b (n,) into sight.features."""
+    """Put the network's inputs for the straight motion from a to b (n,) into sight.network.features."""
     n = a.shape[0]
     length = 0.0
     for j in range(n):
         length += (b[j] - a[j]) * (b[j] - a[j])
-        sight.features[j] = FARTHEST
+        sight.network.features[j] = FARTHEST
     length = np.sqrt(length)
     pieces = int(np.ceil(length / sight.spacing))
     for k in range(pieces + 1):
@@ -127,32 +114,15 @@ def look_along(kinematics, sight, a, b):
             sight.state[j] = a[j] + share * (b[j] - a[j])
         _look(kinematics, sight, sight.state)
     for j in range(n):
-        sight.features[j] = max(sight.features[j], NEAREST) / FARTHEST
-    sight.features[n] = length
-
-
-@kernel
-def log_odds(sight):
-    """Log odds that the motion looked at last is free."""
-    for h in range(sight.first.shape[0]):
-        value = sight.first_bias[h]
-        for i in range(sight.first.shape[1]):
-            value += sight.first[h, i] * sight.features[i]
-        sight.hidden[h] = max(value, 0.0)
-    answer = sight.last_bias
-    for h in range(sight.second.shape[0]):
-        value = sight.second_bias[h]
-        for i in range(sight.second.shape[1]):
-            value += sight.second[h, i] * sight.hidden[i]
-        answer += sight.last[h] * max(value, 0.0)
-    return answer
+        sight.network.features[j] = max(sight.network.features[j], NEAREST) / FARTHEST
+    sight.network.features[n] = length
 
 
 @kernel
 def surprise(kinematics, sight, a, b):
     """-log P(free) of the straight motion from a to b (n,)."""
     look_along(kinematics, sight, a, b)
-    odds = log_odds(sight)
+    odds = answer(sight.network)
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))
 
 
@@ -169,5 +139,71 @@ def judge_motions(
     for i in range(motions.shape[0]):
         look_along(kinematics, sight, motions[i, 0], motions[i, 1])
         for j in range(features.shape[1]):
-            features[i, j] = sight.features[j]
-        odds[i] = log_odds(sight)
+            features[i, j] = sight.network.features[j]
+        odds[i] = answer(sight.network)
+
+
+@entry
+@kernel
+def ball_cells(
+    kinematics: Kinematics,
+    sight: Sight,
+    configurations: Annotated[np.ndarray, "count n"],
+    cells: Annotated[np.ndarray, "int32 count balls"],
+):
+    """Write which cell of the flattened grid each ball's centre lies in, or -1, for configurations asked often."""
+    shape = sight.distance.shape
+    for i in range(configurations.shape[0]):
+        forward_kinematics(kinematics, configurations[i], sight.rotation, sight.translation)
+        for k in range(sight.ball.shape[0]):
+            place, inside = 0, True
+            for a in range(3):
+                centre = sight.translation[sight.row[k], a] - sight.origin[a]
+                for b in range(3):
+                    centre += sight.rotation[sight.row[k], a, b] * sight.ball[k, b]
+                at = int(np.floor(centre / sight.cell))
+                inside = inside and 0 <= at < shape[a]
+                place = place * shape[a] + at
+            cells[i, k] = place if inside else -1
+
+
+@entry
+@kernel
+def look_at_cells(
+    sight: Sight,
+    distance: Annotated[np.ndarray, "uint8 flat"],
+    cells: Annotated[np.ndarray, "int32 count balls"],
+    clearance: Annotated[np.ndarray, "count n"],
+):
+    """Write the smallest clearance of each joint's balls in cells from `ball_cells`; distance: sight's, flattened."""
+    for i in range(cells.shape[0]):
+        for j in range(clearance.shape[1]):
+            clearance[i, j] = FARTHEST
+        for k in range(cells.shape[1]):
+            if cells[i, k] >= 0:
+                link = sight.row[k] - 1
+                own = distance[cells[i, k]] * (REACH / STEPS) - sight.ball[k, 3]
+                clearance[i, link] = min(clearance[i, link], own)
+
+
+@entry
+@kernel
+def join_looks(
+    clearance: Annotated[np.ndarray, "count n"],
+    first: Annotated[np.ndarray, "int32 motions_and_one"],
+    ends: Annotated[np.ndarray, "int32 motions 2"],
+    length: Annotated[np.ndarray, "motions"],
+    features: Annotated[np.ndarray, "motions inputs"],
+):
+    """Write the network's inputs for motions from the clearances at their states.
+
+    first: where each motion's states between its ends begin among all. ends: rows of its ends. length: [rad].
+    """
+    n = clearance.shape[1]
+    for e in range(ends.shape[0]):
+        for j in range(n):
+            lowest = min(clearance[ends[e, 0], j], clearance[ends[e, 1], j])
+            for i in range(first[e], first[e + 1]):
+                lowest = min(lowest, clearance[i, j])
+            features[e, j] = max(lowest, NEAREST) / FARTHEST
+        features[e, n] = length[e]

@@ -6,22 +6,28 @@ import pytest
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.learned import roadmap_path
+from cvqmpt_lab.methods.loaded import seen_dictionary
 from cvqmpt_lab.methods.method import Weights
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.models.stored import VQ_MPT, read_model
 from cvqmpt_lab.models.weights_folder import write_weights
-from cvqmpt_lab.planning.sight import Eyes, SightNetwork
+from cvqmpt_lab.planning.sight import Eyes
+from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.prediction.weights import load_vq_mpt
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
-from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
+from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
 from experiments.bench.seeing import area, calibration_error
+from experiments.bench.sequences import entropies
 from experiments.labels.labelled_scenes import unconstrained_space
+from experiments.labels.part_training import PartRequest, train_code_sequences, train_eyes
 from experiments.labels.roadmap_data import RoadmapRecipe
 from experiments.labels.roadmap_labels import verdicts
+from experiments.labels.sequence_examples import Steps, training_steps
 from experiments.labels.sight_examples import examples_of
-from experiments.labels.sight_training import train_eyes
 from experiments.labels.training_data import generate
+from experiments.suites.place_task import place_problem
 
 
 def test_the_area_counts_pairs_in_order():
@@ -37,6 +43,12 @@ def test_calibration_compares_said_with_seen():
     assert calibration_error(odds, free) == pytest.approx(0.5 * 0.2)
 
 
+def request(data, out, **changes):
+    return PartRequest(
+        **{"data": data, "out": out, "model": None, "seed": 0, "scenes": 400, "metadata": {}} | changes
+    )
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     out = tmp_path_factory.mktemp("labels")
@@ -46,14 +58,14 @@ def data(tmp_path_factory):
 
 def test_eyes_trained_on_a_few_scenes_know_free_from_blocked_in_another(data, tmp_path):
     robot = panda()
-    assert train_eyes(data, tmp_path, None, 0, {}, lambda done, total: None) == 14 * (256 + 512)
+    assert train_eyes(request(data, tmp_path), lambda done, total: None) == 14 * (256 + 512)
     model = read_model(tmp_path / "model", architecture=VQ_MPT)
     shipped = load_vq_mpt(robot)
     np.testing.assert_array_equal(
         model.parts["dictionary"]["quantizer.embedding.weight"],
         shipped.parts["dictionary"]["quantizer.embedding.weight"],
     )
-    eyes, graph = Eyes(SightNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
+    eyes, graph = Eyes(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
     scene = family_scene("shelves", 7)
     checked = verdicts(unconstrained_space(robot, scene), graph.nodes, graph.edges, graph.edge_possible)
     cloud = camera_cloud(scene, CameraSettings.like_training(4096), np.random.default_rng(0))
@@ -61,6 +73,28 @@ def test_eyes_trained_on_a_few_scenes_know_free_from_blocked_in_another(data, tm
     assert area(seen.odds[seen.edge], seen.free[seen.edge]) > 0.97
     nowhere = examples_of(eyes, cloud + 5.0, graph, *checked)
     assert area(nowhere.odds[seen.edge], seen.free[seen.edge]) < 0.8
+
+
+def test_sequences_are_learned_by_a_model_with_eyes_alone(data, tmp_path):
+    robot, untold = panda(), lambda done, total: None
+    steps = train_code_sequences(request(data, tmp_path, scenes=6), untold)
+    trained = SmallNetwork.of(read_model(tmp_path / "model").parts["sequences"])
+    seen = seen_dictionary(Weights("vq_mpt"), robot)
+    shards = read_roadmap_shards(data)
+    learned = Steps.together(training_steps(seen, robot, shards, 6, 2, np.random.default_rng(0)))
+    assert steps == len(learned.count)
+    guessed = np.log(learned.count).mean()
+    assert entropies(SmallNetwork.untrained(6), learned).mean() == pytest.approx(guessed)
+    assert entropies(trained, learned).mean() < guessed - 0.1  # after twenty steps of Adam
+    model = load_vq_mpt(robot)
+    parts, plain = {"dictionary": model.parts["dictionary"]}, to_plain(model.config, complete=True)
+    write_weights(tmp_path / "m", VQ_MPT, plain, model.robot, model.metadata, parts)
+    with pytest.raises(
+        InvalidInputError, match="no sight, only dictionary; train some with cvqmpt train sight"
+    ):
+        train_code_sequences(request(data, tmp_path, model=str(tmp_path / "m")), untold)
+    with pytest.raises(InvalidInputError, match="no sequences, only dictionary"):
+        planner_named("cvq-route", str(tmp_path / "m")).stages(place_problem(1003))
 
 
 def test_a_model_without_eyes_goes_blindly(tmp_path):
@@ -77,4 +111,4 @@ def test_data_without_a_scene_to_train_on_is_refused(tmp_path):
     out = tmp_path / "one"  # its only scene validates
     generate(RoadmapRecipe(1, 2, ("table",)), out, 1, ["test"], lambda done, total: None)
     with pytest.raises(InvalidInputError, match="no scene to train on"):
-        train_eyes(out, tmp_path, None, 0, {}, lambda done, total: None)
+        train_eyes(request(out, tmp_path), lambda done, total: None)

@@ -1,0 +1,98 @@
+"""Weights, dictionaries, eyes and observers: loaded or made once a process, before any clock starts."""
+
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.method import CloudOf, Weights
+from cvqmpt_lab.methods.observation import Observer
+from cvqmpt_lab.models.stored import StoredModel, read_model
+from cvqmpt_lab.planning.code_graph import SeenGraph
+from cvqmpt_lab.planning.roadmap import Roadmap
+from cvqmpt_lab.planning.sight import Eyes
+from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.prediction.codebook import Codebook
+from cvqmpt_lab.prediction.dictionary_gaussians import dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.cameras import CameraSettings
+from cvqmpt_lab.scene.families import family_scene
+
+EYES, SEQUENCES = "sight", "sequences"
+"""Parts of a model that small networks are."""
+ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
+POINTS_SEEN = 4096  # of a cloud that distances are measured to
+WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
+
+
+@lru_cache(maxsize=4)
+def model_of(weights: Weights) -> StoredModel:
+    """The weights of a method."""
+    of = SHIPPED[weights.kind]
+    return read_model(resolve_model(weights.model or weights.kind, of), architecture=of)
+
+
+def small_network(weights: Weights, part: str) -> SmallNetwork:
+    """A part of a model that is a small network; InvalidInputError where it has none."""
+    parts = model_of(weights).parts
+    if part not in parts:
+        raise InvalidInputError(
+            f"{weights.model or weights.kind} has no {part}, only {', '.join(parts)}; train some with "
+            f"cvqmpt train {part}"
+        )
+    return SmallNetwork.of(parts[part])
+
+
+@lru_cache(maxsize=1)
+def observer() -> Observer:
+    """Sees what networks with a cloud encoder were trained on."""
+    return Observer()
+
+
+@lru_cache(maxsize=1)
+def wide_observer() -> Observer:
+    """Sees what eyes look at."""
+    return Observer(CameraSettings.like_training(POINTS_SEEN))
+
+
+def showing_another_scene(observer: Observer) -> CloudOf:
+    """Gives the cloud of another scene than the problem's."""
+    return partial(_wrong_cloud, observer)
+
+
+def _wrong_cloud(observer: Observer, problem: PlanningProblem) -> np.ndarray:
+    return observer(replace(problem, scene=family_scene(*WRONG_SCENE)))
+
+
+@lru_cache(maxsize=8)
+def eyes_of(weights: Weights, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Eyes:
+    """A model's eyes on a robot and what it carries."""
+    return Eyes(small_network(weights, EYES), robot, attachments)
+
+
+@lru_cache(maxsize=8)
+def dictionary_roadmap(weights: Weights, robot: Robot) -> Roadmap:
+    """The dictionary: one configuration drawn from each code's Gaussian."""
+    means, covariances = dictionary_gaussians(model_of(weights), robot)
+    return Roadmap.of(drawn_nodes(means, covariances, robot, drawn_noise(len(means), robot.dof)), covariances)
+
+
+def drawn_noise(codes: int, n: int) -> np.ndarray:
+    """Standard normal (codes, n): where in its Gaussian each code's node lies."""
+    return np.random.default_rng(ROADMAP_DRAW).standard_normal((codes, n))
+
+
+@lru_cache(maxsize=8)
+def seen_dictionary(weights: Weights, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> SeenGraph:
+    """The dictionary before a model's eyes."""
+    return SeenGraph(dictionary_roadmap(weights, robot), eyes_of(weights, robot, attachments))
+
+
+@lru_cache(maxsize=8)
+def codebook_of(weights: Weights, robot: Robot) -> Codebook:
+    """The dictionary's codes as Gaussians."""
+    return Codebook(model_of(weights), robot)

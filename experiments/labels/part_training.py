@@ -1,0 +1,117 @@
+"""Training the small parts of a model on a dataset of roadmap labels: its eyes, then its sequences of codes."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.methods.loaded import EYES, SEQUENCES, seen_dictionary
+from cvqmpt_lab.methods.method import Weights
+from cvqmpt_lab.models.stored import VQ_MPT, StoredModel, read_model
+from cvqmpt_lab.models.weights_folder import TRAINED_FOLDER, write_weights
+from cvqmpt_lab.planning.sight import Eyes
+from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.prediction.weights import resolve_model
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
+from cvqmpt_lab.training.shards import DESCRIPTION_FILE
+from cvqmpt_lab.training.small_network import train_sequences, train_sight
+from experiments.labels.sequence_examples import Steps, training_steps
+from experiments.labels.sight_examples import training_examples
+
+Part = TypeVar("Part")
+PATHS = 40  # of each scene
+
+
+@dataclass(frozen=True)
+class PartRequest:
+    """What a part is trained on and for whom."""
+
+    data: Path
+    """Folder of roadmap labels."""
+    out: Path
+    """The model goes to out/model."""
+    model: str | None
+    """Whose part it is, see `prediction.weights.resolve_model`."""
+    seed: int
+    scenes: int
+    """At most."""
+    metadata: dict[str, Any]
+    """Kept with the weights."""
+
+
+def train_eyes(request: PartRequest, on_progress: Callable[[int, int], None]) -> int:
+    """Write the model with eyes; returns the number of motions that they learned from.
+
+    Raises
+    ------
+    InvalidInputError
+        When the dataset holds no scene to train on, or its robot is not the model's.
+    """
+    robot, model = _whose(request)
+    eyes = Eyes(SmallNetwork.untrained(robot.dof + 1), robot)
+    shards, rng = read_roadmap_shards(request.data), np.random.default_rng(request.seed)
+    examples = list(_counted(training_examples(eyes, shards, request.scenes, rng), request, on_progress))
+    features = np.concatenate([one.features for one in examples])
+    free = np.concatenate([one.free for one in examples])
+    _write(request, model, EYES, train_sight(features, free, request.seed), len(examples))
+    return len(free)
+
+
+def train_code_sequences(request: PartRequest, on_progress: Callable[[int, int], None]) -> int:
+    """Write the model with a sequence network; returns the number of steps that it learned from.
+
+    Raises
+    ------
+    InvalidInputError
+        As `train_eyes`; when the model has no eyes yet, or the labels are of another dictionary.
+    """
+    robot, model = _whose(request)
+    seen = seen_dictionary(Weights("vq_mpt", request.model), robot)
+    shards, rng = read_roadmap_shards(request.data), np.random.default_rng(request.seed)
+    if not np.array_equal(shards[0].graph.edges, seen.links.edges):
+        raise InvalidInputError(
+            f"{request.data} holds labels of another dictionary than {request.model or 'shipped'}"
+        )
+    found = list(
+        _counted(training_steps(seen, robot, shards, request.scenes, PATHS, rng), request, on_progress)
+    )
+    steps = Steps.together(found)
+    network = train_sequences(steps.features, steps.count, steps.right, request.seed)
+    _write(request, model, SEQUENCES, network, len(found))
+    return len(steps.count)
+
+
+def _whose(request: PartRequest) -> tuple[Robot, StoredModel]:
+    """The dataset's robot and the model that gets the part."""
+    robot = robot_from_source(
+        read_json_object(request.data / DESCRIPTION_FILE).get("recipe", {}).get("robot")
+    )
+    return robot, read_model(resolve_model(request.model, VQ_MPT, robot))
+
+
+def _counted(
+    parts: Iterator[Part], request: PartRequest, on_progress: Callable[[int, int], None]
+) -> Iterator[Part]:
+    done = 0
+    for done, part in enumerate(parts, start=1):
+        on_progress(done, request.scenes)
+        yield part
+    if done == 0:
+        raise InvalidInputError(f"{request.data} holds no scene to train on; generate more of them")
+
+
+def _write(
+    request: PartRequest, model: StoredModel, name: str, arrays: dict[str, np.ndarray], scenes: int
+) -> None:
+    told = {**model.metadata, name: {**request.metadata, "scenes": scenes, "seed": request.seed}}
+    plain = to_plain(model.config, complete=True)
+    write_weights(
+        request.out / TRAINED_FOLDER, VQ_MPT, plain, model.robot, told, {**model.parts, name: arrays}
+    )
