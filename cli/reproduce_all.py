@@ -38,7 +38,7 @@ def reproduce_all(args: argparse.Namespace) -> int:
     for path, text in pages_of(out).items():
         write_text(path, text)
     print("\n".join(verdict_lines(out)))
-    print(f"every claim, its numbers and commands: {out / PAGE_NAME}; tables: {out}/*/table.md")
+    print(f"every claim, its numbers and commands: {out / PAGE_NAME}")
     print(f"report, for a browser: {write_report(out)}")
     return 0
 

@@ -1,0 +1,49 @@
+"""`cvqmpt reproduce all`: what it writes, that it goes on where it was, and what it refuses."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from command_line import refused
+
+from cli.main import main
+from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.results.row import RUNS_FILE
+from experiments import everything
+from experiments.everything import Amount, parts
+from experiments.suites.table import SUITES
+
+
+def test_every_suite_and_the_controls_are_part_of_everything():
+    full = {part.folder: part for part in parts("full")}
+    assert full.keys() == {*SUITES, "controls"} and len(full["place-task"].experiment.seeds) == 5
+    assert {"cvq-no-uniform", "birrt"} <= set(full["controls"].experiment.planners)
+    small = parts("small")
+    assert {part.folder for part in small} <= full.keys() and all(part.experiment.problems for part in small)
+    with pytest.raises(UnknownChoiceError, match="tiny"):
+        parts("tiny")
+
+
+def test_amounts_of_everything_are_fixed(capsys, tmp_path):
+    told = refused(capsys, "reproduce", "all", "--problems", "3", "--out", tmp_path / "out")
+    assert "--problems does not go with 'all'" in told and not (tmp_path / "out").exists()
+
+
+def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
+    capsys, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(
+        everything, "SUITES", {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
+    )
+    monkeypatch.setattr(everything, "PROFILES", {"small": {"place-task": Amount(1, cutoff=5.0)}})
+    words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 15 and max(map(len, lines)) <= 100 + len(str(tmp_path))
+    assert str(tmp_path / "report.html") in lines[-1] and str(tmp_path / "claims.md") in lines[-2]
+    for name in ("report.html", "claims.md", "histogram/values.csv", "place-task/table.md"):
+        assert (tmp_path / name).is_file()
+    record = json.loads((tmp_path / "place-task" / "provenance.json").read_text())
+    assert record["command"][:3] == ["cvqmpt", "reproduce", "place-task"] and record["wall_s"] > 0.0
+    rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
+    assert main(words) == 0 and (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
