@@ -12,9 +12,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
 DATA = ("*.py", "weights/*/*", "schemas/*.json", "published/*.csv")
-LOCATOR = f"""from numba.core.caching import _UserProvidedCacheLocator
+LOCATOR = f"""from numba.core.caching import UserProvidedCacheLocator
 
-class OfTheTree(_UserProvidedCacheLocator):
+class OfTheTree(UserProvidedCacheLocator):
     \"\"\"Machine code that the tree's equal kernels were compiled to: compiling them anew takes a minute.\"\"\"
 
     @classmethod
