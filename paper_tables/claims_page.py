@@ -148,7 +148,9 @@ def made_by(evidence: Evidence, root: Path) -> str:
     commit = ", ".join(dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in told))
     folder = evidence.folder.relative_to(root).as_posix()
     where = (
-        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)" if evidence.rows else f"[numbers]({folder})"
+        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)"
+        if evidence.rows
+        else f"[numbers]({folder}/values.csv)"
     )
     return f"`{'` and `'.join(commands)}`: {wall_clock(evidence)}, commit {commit}; {where}\n"
 
