@@ -25,6 +25,7 @@ html_math_renderer = "mathml"  # browsers draw it themselves; MathJax would come
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
+nb_render_markdown_format = "myst"  # tables and formulas in what cells show
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
