@@ -5,24 +5,38 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cli.options import add_model
+from cli.options import add_model, positive_int
 from cvqmpt_lab.errors import InvalidInputError
 from experiments.figures.latent_update import UpdateSettings
-from experiments.figures.run_figure import FIGURES, ROW_FIGURES, FigureRequest, reproduce_figure, summary
+from experiments.figures.run_figure import (
+    FIGURES,
+    NAME,
+    ROW_FIGURES,
+    FigureRequest,
+    compare_at_equal_time,
+    reproduce_figure,
+    summary,
+)
 from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt figure histogram --problem 7 --out runs/histogram",
     "cvqmpt figure concept --model runs/stage2/model --out runs/concept",
     "cvqmpt figure robustness --out runs/sensor-robustness",
+    "cvqmpt figure cost --out runs/place-task",
+    "cvqmpt figure difficulty --out runs/place-task",
+    f"cvqmpt figure {NAME} --problems 30 --out runs/{NAME}",
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which figure, of which problem, by which model."""
-    parser.add_argument("figure", help=f"one of {', '.join((*FIGURES, *ROW_FIGURES))}")
+    parser.add_argument("figure", help=f"one of {', '.join((*FIGURES, NAME, *ROW_FIGURES))}")
     parser.add_argument(
         "--problem", type=int, default=0, metavar="I", help="index of the place task's problem (0)"
+    )
+    parser.add_argument(
+        "--problems", type=positive_int, default=30, metavar="N", help=f"of {NAME}: the first N problems (30)"
     )
     add_model(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all randomness (0)")
@@ -40,6 +54,10 @@ def run(args: argparse.Namespace) -> int:
         if args.out is None:
             raise InvalidInputError(f"figure {args.figure} is drawn from rows: name their folder with --out")
         return _tell(ROW_FIGURES[args.figure](args.out))
+    if args.figure == NAME:
+        compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+        out = args.out or Path("runs") / NAME
+        return _tell(compare_at_equal_time(out, args.problems, ["cvqmpt", *sys.argv[1:]]))
     request = FigureRequest(
         figure=args.figure,
         out=args.out or Path("runs") / args.figure,

@@ -13,11 +13,16 @@ from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.prediction.weights import SHIPPED, load_vq_mpt, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
+from experiments.figures.cost import draw_cost
+from experiments.figures.difficulty import draw_difficulty
 from experiments.figures.drawing import hand_figure, histogram_figure, save_figure
+from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
 from experiments.figures.hand_poses import hand_change, write_hands
 from experiments.figures.histogram import code_changes, write_tables
 from experiments.figures.latent_update import FAR, LatentUpdate, UpdateSettings, update_latents
+from experiments.figures.learning_curve import draw_learning_curve
 from experiments.figures.robustness import draw_robustness
+from experiments.run import weights_of
 from experiments.suites.table import suite_named
 
 SUITE = "place-task"
@@ -36,7 +41,7 @@ class FigureRequest:
 
     def __post_init__(self) -> None:
         if self.figure not in FIGURES:
-            raise UnknownChoiceError("figure", self.figure, [*FIGURES, *ROW_FIGURES])
+            raise UnknownChoiceError("figure", self.figure, [*FIGURES, NAME, *ROW_FIGURES])
 
 
 def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[LatentUpdate, list[Path]]:
@@ -52,7 +57,6 @@ def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[La
     problem = suite_named(SUITE).solvable(request.problem)
     assert isinstance(problem, PlanningProblem)
     model = resolve_model(request.model or MODEL, SHIPPED[MODEL])
-    record = ProvenanceFile(make_folder(request.out))
     configuration: dict[str, Any] = {
         "figure": request.figure,
         "suite": SUITE,
@@ -60,15 +64,39 @@ def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[La
         "update": asdict(request.settings),
     }
     session = provenance(command, [request.settings.seed], {MODEL: weights_digest(model)})
-    if record.path.is_file():
-        record.require_same(configuration, session)
-    elif any(request.out.iterdir()):
-        raise RunStoreError(
-            f"{request.out} holds files without {PROVENANCE_FILE}; use an empty folder as --out"
-        )
+    record = _record(request.out, configuration, session)
     update = update_latents(problem, load_vq_mpt(problem.robot, model), request.settings)
     record.create(configuration, session)
     return update, [*FIGURES[request.figure](update, request.out), record.path]
+
+
+def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> list[Path]:
+    """Run methods on the first problems of the place task until time is up; figure, table and provenance in a folder.
+
+    Raises
+    ------
+    InvalidInputError
+        When the suite has fewer problems.
+    RunStoreError
+        When the folder cannot be written to or holds other results.
+    """
+    asked = [suite_named(SUITE).solvable(index) for index in range(problems)]
+    configuration = {"figure": NAME, "suite": SUITE, "problems": problems, "seconds": SECONDS}
+    session = provenance(command, [0], weights_of(RESTARTED))
+    record = _record(out, configuration, session)
+    written = draw_equal_time([problem for problem in asked if isinstance(problem, PlanningProblem)], out)
+    record.create(configuration, session)
+    return [*written, record.path]
+
+
+def _record(out: Path, configuration: Mapping[str, Any], session: Mapping[str, Any]) -> ProvenanceFile:
+    """Where the provenance goes; RunStoreError when the folder holds results of something else."""
+    record = ProvenanceFile(make_folder(out))
+    if record.path.is_file():
+        record.require_same(configuration, session)
+    elif any(out.iterdir()):
+        raise RunStoreError(f"{out} holds files without {PROVENANCE_FILE}; use an empty folder as --out")
+    return record
 
 
 def _histogram(update: LatentUpdate, folder: Path) -> list[Path]:
@@ -91,8 +119,13 @@ FIGURES: Mapping[str, Callable[[LatentUpdate, Path], list[Path]]] = {
 }
 """Figures by name, each drawn into a folder; they return what they wrote."""
 
-ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {"robustness": draw_robustness}
-"""Figures of a folder of rows, drawn beside them."""
+ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
+    "robustness": draw_robustness,
+    "cost": draw_cost,
+    "difficulty": draw_difficulty,
+    "learning-curve": draw_learning_curve,
+}
+"""Figures of a folder of rows, or of numbers beside weights, drawn there."""
 
 
 def summary(update: LatentUpdate) -> list[str]:

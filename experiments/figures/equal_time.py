@@ -1,0 +1,149 @@
+"""Length at equal time: the best path by time t of methods that are restarted, or left to improve, until then."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.pipeline import Solution, solve
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, mean_of_solved, median_interval
+from experiments.figures.drawing import save_figure
+from experiments.figures.histogram import write_csv
+from experiments.figures.lines import Line, Panel, panels_figure
+from paper_tables.comparison import REFERENCE
+
+RESTARTED = tuple(
+    name for name in (REFERENCE, "opt-cvq-mpt", "opt-cvq-route", "roadmap-cvq") if name in PLANNERS
+)
+IMPROVED = "--optimize"
+SECONDS = 0.5  # of planning and shortening, a problem and method
+CUTOFF = Budget(seconds=10.0)  # of each search
+WITHIN = 1.1  # of the best length known
+TIMES = tuple(float(t) for t in np.geomspace(2e-3, SECONDS, 25))
+NAME = "equal-time"
+
+Trace = Sequence[tuple[float, float]]
+"""Time [s] of a path and its length [rad], ever shorter."""
+
+
+def restarted(problem: PlanningProblem, planner: str, seconds: float) -> Trace:
+    """Search and shorten with one seed after another until the time is up; certificates and goals are not counted."""
+    spent, seed, found = 0.0, 0, []
+    while spent < seconds:
+        solution = solve(problem, planner, CUTOFF, seed, clearance=False)
+        spent, seed = spent + _took(solution), seed + 1
+        length = solution.simplified.path.length if solution.solved and solution.simplified else math.inf
+        if length < (found[-1][1] if found else math.inf):
+            found.append((spent, length))
+    return found
+
+
+def improved(problem: PlanningProblem, planner: str, seconds: float) -> Trace:
+    """One path, and what `solve` makes of the time with `optimize`."""
+    solution = solve(problem, planner, CUTOFF, 0, clearance=False, optimize=Budget(seconds=seconds))
+    if not solution.solved or solution.improvement is None:
+        return []
+    first = _took(solution)
+    return [(first + t, length) for t, length in solution.improvement.lengths]
+
+
+def _took(solution: Solution) -> float:
+    return solution.plan.seconds + (solution.simplified.seconds if solution.simplified else 0.0)
+
+
+def best_by(trace: Trace, time: float) -> float:
+    """Length [rad] of the best path found by a time [s]; infinite before the first."""
+    return min((length for t, length in trace if t <= time), default=math.inf)
+
+
+def time_to(trace: Trace, length: float) -> float:
+    """When a path no longer than that was found [s]; infinite if never."""
+    return min((t for t, found in trace if found <= length), default=math.inf)
+
+
+def traces_of(problem: PlanningProblem, seconds: float) -> dict[str, Trace]:
+    """What every method finds of a problem, by name."""
+    return {
+        **{name: restarted(problem, name, seconds) for name in RESTARTED},
+        **{f"{name} {IMPROVED}": improved(problem, name, seconds) for name in (REFERENCE, "roadmap-cvq")},
+    }
+
+
+def draw_equal_time(problems: Sequence[PlanningProblem], folder: Path) -> list[Path]:
+    """Run every method on every problem and draw; the first problem is run once before, so that nothing loads later."""
+    traces_of(problems[0], 1e-3)
+    found = [traces_of(problem, SECONDS) for problem in problems]
+    best = [
+        min(length for trace in traces.values() for _, length in trace)
+        for traces in found
+        if any(traces.values())
+    ]
+    found = [traces for traces in found if any(traces.values())]
+    names = list(found[0])
+    ratios = {name: _ratios([traces[name] for traces in found], best) for name in names}
+    shares = {name: _shares([traces[name] for traces in found], best) for name in names}
+    milliseconds = [1e3 * t for t in TIMES]
+    figure = panels_figure(
+        [
+            Panel(
+                "best length by then / best known",
+                "time [ms]",
+                "ratio",
+                [Line(name, milliseconds, values) for name, values in ratios.items()],
+                log=(True, False),
+                level=1.0,
+            ),
+            Panel(
+                "problems within 10 % of the best known",
+                "time [ms]",
+                "%",
+                [Line(name, milliseconds, values) for name, values in shares.items()],
+                log=(True, False),
+            ),
+        ]
+    )
+    reached = {
+        name: [time_to(t[name], WITHIN * b) for t, b in zip(found, best, strict=True)] for name in names
+    }
+    table = [_cells(name, reached) for name in names]
+    return [*save_figure(figure, folder, NAME), write_csv(folder / f"{NAME}.csv", table)]
+
+
+def _ratios(traces: Sequence[Trace], best: Sequence[float]) -> list[Interval]:
+    """Mean ratio to the best known by each of `TIMES`, from when on all but a twentieth have a path."""
+    intervals = []
+    for time in TIMES:
+        values = [best_by(trace, time) / known for trace, known in zip(traces, best, strict=True)]
+        solved = np.isfinite(values).mean() >= 0.95
+        intervals.append(mean_of_solved(values if solved else [], np.random.default_rng(0)))
+    return intervals
+
+
+def _shares(traces: Sequence[Trace], best: Sequence[float]) -> list[Interval]:
+    """Percentage of problems within 10 % of the best known by each of `TIMES`."""
+    near = [
+        [best_by(t, time) <= WITHIN * known for t, known in zip(traces, best, strict=True)] for time in TIMES
+    ]
+    return [Interval(100.0 * float(np.mean(values)), None, None, len(values)) for values in near]
+
+
+def _cells(name: str, reached: Mapping[str, Sequence[float]]) -> dict[str, object]:
+    """A method's line of the table; where it never came so near, the whole time stands in the ratio."""
+    own = np.minimum(reached[name], SECONDS)
+    ratio = geometric_mean_interval(np.minimum(reached[REFERENCE], SECONDS) / own, np.random.default_rng(0))
+    middle = median_interval(reached[name])
+    return {
+        "method": name,
+        "problems": len(own),
+        "within_10_percent": int(np.isfinite(reached[name]).sum()),
+        "median_s": middle.estimate,
+        "median_s_low": middle.low,
+        "median_s_high": middle.high,
+        f"time_of_{REFERENCE}_over_its": ratio.estimate,
+        "low": ratio.low,
+        "high": ratio.high,
+    }

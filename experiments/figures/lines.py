@@ -1,0 +1,89 @@
+"""Panels of lines with bands, one colour a planner in all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cvqmpt_lab.results.statistics import Interval
+
+COLOURS = ("#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d")
+REFERENCE_COLOUR = "0.55"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A planner's numbers."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[Interval]
+    """Where an estimate is None or infinite, the line is broken."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A pair of axes."""
+
+    title: str
+    x: str
+    """Label, with unit."""
+    y: str
+    lines: Sequence[Line]
+    log: tuple[bool, bool] = (True, True)
+    """Whether x and y are logarithmic."""
+    level: float | None = None
+    """Height of a dotted line, such as 1 for ratios."""
+
+
+def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
+    """The panels row by row, with one legend below."""
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(4.8 * columns, 3.6 * rows + 0.5), layout="constrained")
+    axes_of = figure.subplots(rows, columns, squeeze=False).ravel()
+    names = list(dict.fromkeys(line.name for panel in panels for line in panel.lines))
+    for axes, panel in zip(axes_of, panels, strict=False):
+        _draw(axes, panel, names)
+    for axes in axes_of[len(panels) :]:
+        axes.axis("off")
+    handles = {
+        label: handle
+        for axes in axes_of
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        [handles[name] for name in names],
+        names,
+        loc="outside lower center",
+        ncols=min(len(names), 4),
+        frameon=False,
+        fontsize="small",
+    )
+    return figure
+
+
+def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
+    for line in panel.lines:
+        colour = COLOURS[names.index(line.name) % len(COLOURS)]
+        known = [(x, i) for x, i in zip(line.x, line.y, strict=True) if i.estimate is not None]
+        x = [at for at, _ in known]
+        axes.plot(
+            x, [i.estimate for _, i in known], ".-" if len(x) < 12 else "-", color=colour, label=line.name
+        )
+        if all(i.low is not None and i.high is not None for _, i in known):
+            axes.fill_between(
+                x,
+                [i.low for _, i in known],
+                [i.high for _, i in known],
+                color=colour,
+                alpha=0.12,
+                linewidth=0.0,
+            )
+    if panel.level is not None:
+        axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
+    axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
+    axes.set_xscale("log" if panel.log[0] else "linear")
+    axes.set_yscale("log" if panel.log[1] else "linear")
+    axes.grid(visible=True, which="major", color="0.92", linewidth=0.6)
+    axes.set_axisbelow(True)
