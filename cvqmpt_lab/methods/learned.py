@@ -120,16 +120,16 @@ def _cvq_mpt(settings: PredictorSettings, update: LatentSettings | None = None) 
     return build
 
 
-def roadmap_path(wrong: bool = False) -> Build:
+def roadmap_path(wrong: bool = False, blind: bool = False, told: bool = False) -> Build:
     """The dictionary, projected on the manifold node by node, searched for a path along edges that look free.
 
-    wrong: shown another scene. Models without eyes go blindly.
+    wrong: shown another scene. blind: shown none, as are models without eyes. told: blind, but knows what is blocked.
     """
 
     def build(robot: Robot, weights: Weights) -> Stages:
         roadmap = dictionary_roadmap(weights, robot)
-        if EYES not in model_of(weights).parts:
-            return Stages(predict=RoadmapPath(roadmap))
+        if blind or told or EYES not in model_of(weights).parts:
+            return Stages(predict=RoadmapPath(roadmap, told=told))
         return Stages(
             predict=RoadmapPath(roadmap, see=partial(_sight, weights)),
             observe=showing_another_scene(wide_observer()) if wrong else wide_observer(),

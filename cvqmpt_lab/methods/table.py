@@ -6,7 +6,7 @@ from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.method import Method, Stages, Weights
-from cvqmpt_lab.planning.around_path import AroundPath, StraightLine, UnconstrainedPath
+from cvqmpt_lab.planning.around_path import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 
@@ -77,6 +77,9 @@ CONTROLS = _by_name(
     _roadmap_mixture("roadmap-blind", check=False),
     _roadmap_mixture("roadmap-update", check=True, update=True),
     _learned("roadmap-wrong-cloud", lambda learned: learned.roadmap_path(wrong=True)),
+    _learned("roadmap-no-cloud", lambda learned: learned.roadmap_path(blind=True)),
+    _learned("roadmap-true-edges", lambda learned: learned.roadmap_path(told=True)),
+    Method.simple("solved-paths", predict=SolvedPaths(AroundPath("solved-paths", std=0.25))),
     _learned("true-codes", lambda learned: learned.true_codes("true-codes")),
     _sequences("cvq-wrong-cloud", cloud="another_scene"),
     _sequences("cvq-no-cloud", cloud="no_cloud"),

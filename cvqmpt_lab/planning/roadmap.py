@@ -138,6 +138,14 @@ class RoadmapQuery:
         self._graph.edge[:count] = before.edge[:count]
         self._graph.factor[:count] = before.factor[:count]
 
+    def avoid(self, known: "RoadmapQuery") -> None:
+        """Leave out what another query, of the same nodes, found blocked."""
+        mine, theirs = self._graph, known._graph
+        for verdicts, found in zip(
+            (mine.edge, mine.goal_edge, mine.node), (theirs.edge, theirs.goal_edge, theirs.node), strict=True
+        ):
+            verdicts[found == kernels.BLOCKED] = kernels.BLOCKED
+
     def next_path(self, allowance: Allowance, check: bool = True) -> tuple[JointPath | None, np.ndarray]:
         """The shortest path left, on the manifold and free, and the rows of its nodes; None when there is none.
 

@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture
+from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Timings
 from cvqmpt_lab.planning.roadmap import Roadmap, RoadmapQuery, RoadmapSettings
 from cvqmpt_lab.planning.sight import Sight
+from cvqmpt_lab.planning.space import ConstrainedSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,9 @@ class RoadmapPath:
     """Largest standard deviation of those from an end [rad]."""
     see: Callable[[Query, Observation], Sight] | None = None
     """Tells what the robot sees, by which edges are priced; None to go blindly."""
+    told: bool = False
+    """Nodes and edges that are blocked on the way are known beforehand, from a search that costs no work: the bound of
+    all roadmaps."""
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Search the roadmap with the query's constraint."""
@@ -52,6 +57,8 @@ class RoadmapPath:
         sight = self.see(query, observation) if self.see else None
         timings = Timings(encode=query.allowance.seconds - began)
         asked = RoadmapQuery(query.space, self.roadmap, query.start, query.goals, self.settings, sight=sight)
+        if self.told:
+            asked.avoid(self._searched_before(query))
         path, _ = asked.next_path(query.allowance)
         for _ in range(self.draws):
             if path is not None or query.allowance.spent():
@@ -71,6 +78,13 @@ class RoadmapPath:
             return Proposal(around, timings, vertices=len(free) + 2, path=path)
         lost = f"birrt around {len(free)} free nodes: no roadmap path after {asked.searches} searches"
         return Proposal(around, timings, vertices=len(free), fallback=lost)
+
+    def _searched_before(self, query: Query) -> RoadmapQuery:
+        """A query that has found its path, or that there is none, in a space of its own."""
+        aside = ConstrainedSpace(query.space.problem, query.space.backend)
+        before = RoadmapQuery(aside, self.roadmap, query.start, query.goals, self.settings)
+        before.next_path(Allowance(query.allowance.budget, aside))
+        return before
 
     def _near_ends(self, query: Query) -> np.ndarray:
         """Configurations on the manifold (at most `drawn`, n), half of them around the start, half around goals."""

@@ -5,10 +5,13 @@ from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.results.statistics import Interval
 
 COLOURS = ("#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d")
+DASHES = ("-", "--", ":")
+FEW = 12  # points, each of which is marked
 REFERENCE_COLOUR = "0.55"
 
 
@@ -65,25 +68,32 @@ def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
 
 def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     for line in panel.lines:
-        colour = COLOURS[names.index(line.name) % len(COLOURS)]
+        turn, colour = divmod(names.index(line.name), len(COLOURS))
+        style = {"color": COLOURS[colour], "linestyle": DASHES[turn % len(DASHES)]}
         known = [(x, i) for x, i in zip(line.x, line.y, strict=True) if i.estimate is not None]
         x = [at for at, _ in known]
-        axes.plot(
-            x, [i.estimate for _, i in known], ".-" if len(x) < 12 else "-", color=colour, label=line.name
-        )
+        marker = "." if len(x) < FEW else ""
+        axes.plot(x, [i.estimate for _, i in known], marker=marker, label=line.name, **style)
         if all(i.low is not None and i.high is not None for _, i in known):
             axes.fill_between(
                 x,
                 [i.low for _, i in known],
                 [i.high for _, i in known],
-                color=colour,
+                color=style["color"],
                 alpha=0.12,
                 linewidth=0.0,
             )
     if panel.level is not None:
         axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
-    axes.set_xscale("log" if panel.log[0] else "linear")
-    axes.set_yscale("log" if panel.log[1] else "linear")
+    for axis, scale, log in (
+        (axes.xaxis, axes.set_xscale, panel.log[0]),
+        (axes.yaxis, axes.set_yscale, panel.log[1]),
+    ):
+        if log:
+            scale("log")
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
     axes.grid(visible=True, which="major", color="0.92", linewidth=0.6)
     axes.set_axisbelow(True)

@@ -1,0 +1,63 @@
+"""Figures of where learning pays: break-even prices, bins of hardness, best lengths by time, and bad input."""
+
+import csv
+import math
+
+import pytest
+from made_rows import a_row
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.row import RUNS_FILE, write_rows
+from experiments.figures.cost import OURS, draw_cost
+from experiments.figures.difficulty import bins_of
+from experiments.figures.equal_time import best_by, time_to
+from experiments.figures.learning_curve import CURVE_FILE, draw_learning_curve
+
+TRACE = ((0.01, 8.0), (0.05, 6.0), (0.2, 5.0))
+
+
+def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
+    """100 checks and 1 ms more of networks against 1100 checks: even at 1 us more a check than ours."""
+    shared = {"n_projections": 0, "t_goals_s": 0.0}
+    rows = [
+        row
+        for k in range(4)
+        for row in (
+            a_row(f"p{k}", n_state_checks=1100, t_total_s=0.002, **shared),
+            a_row(f"p{k}", "learned", n_state_checks=100, t_total_s=0.003, **shared),
+            a_row(f"p{k}", "dear", n_state_checks=2000, t_total_s=0.003, **shared),
+        )
+    ]
+    write_rows(tmp_path / RUNS_FILE, rows)
+    written = draw_cost(tmp_path)
+    assert [path.name for path in written] == ["cost.png", "cost.svg", "cost.csv"]
+    with written[-1].open() as file:
+        found = {line["planner"]: line for line in csv.DictReader(file)}
+    assert float(found["learned"]["break_even_us"]) == pytest.approx(1e6 * (OURS + 1e-6), rel=0.02)
+    assert float(found["learned"]["time_at_ours"]) == pytest.approx(1.5)
+    assert float(found["learned"]["work"]) == pytest.approx(1 / 11, rel=1e-5)
+    assert found["dear"]["break_even_us"] == "" and float(found["dear"]["time_at_papers"]) > 1.0
+
+
+def test_problems_are_binned_from_easy_to_hard_and_unsolved_ones_are_hardest():
+    hard = {"p10": 5.0, "p2": math.inf, "p1": 5.0, "p3": 1.0}
+    assert bins_of(hard, 2) == [["p3", "p1"], ["p10", "p2"]]
+    assert bins_of({"p": 1.0}) == [["p"]]
+
+
+def test_the_best_length_by_a_time_and_the_time_to_a_length():
+    assert [best_by(TRACE, time) for time in (0.001, 0.05, 1.0)] == [math.inf, 6.0, 5.0]
+    assert [time_to(TRACE, length) for length in (8.0, 5.5, 4.0)] == [0.01, 0.2, math.inf]
+
+
+def test_a_learning_curve_is_drawn_from_numbers_alone(tmp_path):
+    (tmp_path / CURVE_FILE).write_text(
+        "labels,work,work_low,work_high\n1000,0.9,0.8,1.0\n10000,0.5,0.4,0.6\n"
+    )
+    assert [path.name for path in draw_learning_curve(tmp_path)] == [
+        "learning_curve.png",
+        "learning_curve.svg",
+    ]
+    (tmp_path / CURVE_FILE).write_text("labels,work\n1000,much\n")
+    with pytest.raises(InvalidInputError, match=r"learning_curve.csv.*much.*must be a number"):
+        draw_learning_curve(tmp_path)
