@@ -28,12 +28,14 @@ def time_at(price: float, row: ResultRow) -> float | None:
 
 def break_even(ratios: Sequence[Interval]) -> float | None:
     """The least of `PRICES` [s], interpolated, from which on a method needs less time than uniform samples."""
-    logs = [None if ratio.estimate is None else np.log(ratio.estimate) for ratio in ratios]
-    if not logs or any(value is None for value in logs) or logs[-1] >= 0.0:
+    estimates = [ratio.estimate for ratio in ratios if ratio.estimate is not None]
+    if not estimates or len(estimates) < len(ratios) or estimates[-1] >= 1.0:
         return None
-    last = max((k for k, value in enumerate(logs) if value >= 0.0), default=-1)
-    if last < 0:
+    logs = np.log(estimates)
+    dearer = np.flatnonzero(logs >= 0.0)
+    if not len(dearer):
         return PRICES[0]
+    last = int(dearer[-1])
     share = logs[last] / (logs[last] - logs[last + 1])
     return float(PRICES[last] * (PRICES[last + 1] / PRICES[last]) ** share)
 

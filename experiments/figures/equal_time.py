@@ -32,7 +32,8 @@ Trace = Sequence[tuple[float, float]]
 
 def restarted(problem: PlanningProblem, planner: str, seconds: float) -> Trace:
     """Search and shorten with one seed after another until the time is up; certificates and goals are not counted."""
-    spent, seed, found = 0.0, 0, []
+    found: list[tuple[float, float]] = []
+    spent, seed = 0.0, 0
     while spent < seconds:
         solution = solve(problem, planner, CUTOFF, seed, clearance=False)
         spent, seed = spent + _took(solution), seed + 1

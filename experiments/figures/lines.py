@@ -69,20 +69,15 @@ def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
 def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     for line in panel.lines:
         turn, colour = divmod(names.index(line.name), len(COLOURS))
-        style = {"color": COLOURS[colour], "linestyle": DASHES[turn % len(DASHES)]}
-        known = [(x, i) for x, i in zip(line.x, line.y, strict=True) if i.estimate is not None]
-        x = [at for at, _ in known]
+        shade, dash = COLOURS[colour], DASHES[turn % len(DASHES)]
+        known = [(x, i.estimate) for x, i in zip(line.x, line.y, strict=True) if i.estimate is not None]
+        x, y = [at for at, _ in known], [value for _, value in known]
         marker = "." if len(x) < FEW else ""
-        axes.plot(x, [i.estimate for _, i in known], marker=marker, label=line.name, **style)
-        if all(i.low is not None and i.high is not None for _, i in known):
-            axes.fill_between(
-                x,
-                [i.low for _, i in known],
-                [i.high for _, i in known],
-                color=style["color"],
-                alpha=0.12,
-                linewidth=0.0,
-            )
+        axes.plot(x, y, marker=marker, label=line.name, color=shade, linestyle=dash)
+        low = [i.low for i in line.y if i.estimate is not None and i.low is not None]
+        high = [i.high for i in line.y if i.estimate is not None and i.high is not None]
+        if len(low) == len(high) == len(x):
+            axes.fill_between(x, low, high, color=shade, alpha=0.12, linewidth=0.0)
     if panel.level is not None:
         axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
