@@ -8,6 +8,7 @@ from typing import Any
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planning.restarts import Improvement
+from cvqmpt_lab.planning.result import PlanStatus
 from cvqmpt_lab.problem import PlanningProblem
 
 
@@ -61,6 +62,8 @@ def _status(solution: Solution) -> str:
     """How the plan ended, and by what if not by what the planner's name promises."""
     plan = solution.plan
     how = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
+    if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):
+        how += f": no path found within {plan.seconds:.3g} s and {plan.counters.iterations} iterations"
     return f"{how} ({plan.detail})" if plan.detail else how
 
 

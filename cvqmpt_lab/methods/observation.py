@@ -15,6 +15,11 @@ from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 
+FEWEST = 2
+"""Points that networks need."""
+BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])
+"""(2, 3) [m] what networks see of nothing: two points under the base, where no arm reaches that stands on it."""
+
 
 class Observer:
     """Gives the cloud of a problem's scene; the same scene gives the same cloud.
@@ -70,6 +75,8 @@ class Observer:
             seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
             return self.of_points(np.concatenate([_world_points(clouds), seen]))
         cloud = camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
+        if len(cloud) < FEWEST:
+            cloud = np.concatenate([cloud, BELOW])
         cloud.setflags(write=False)
         return cloud
 

@@ -9,8 +9,11 @@ from experiments.trust.check import Check
 PARTS: Mapping[str, str] = {
     "determinism": "experiments.trust.determinism",
     "differential": "experiments.trust.differential",
+    "edges": "experiments.trust.edges",
     "faults": "experiments.trust.faults",
     "files": "experiments.trust.files",
+    "long-runs": "experiments.trust.long_runs",
+    "properties": "experiments.trust.properties",
     "supply": "experiments.trust.supply",
 }
 """Module of each part; only those asked for are imported."""

@@ -121,6 +121,11 @@ TAMPERED = {
     "a state 1 mm inside a shelf": (inside_by_1_mm, "collision", None),
     "a limit passed by 1e-3": (beyond_limit, "limits", MIDDLE),
     "a jump": (lambda p, s: np.delete(s, range(MIDDLE, MIDDLE + 12), axis=0), "step", MIDDLE - 1),
+    "a state repeated later": (
+        lambda p, s: np.insert(s, MIDDLE + 12, s[MIDDLE], axis=0),
+        "step",
+        MIDDLE + 12,
+    ),
     "nan": (lambda p, s: changed(s, MIDDLE, np.nan), "shape", MIDDLE),
     "infinity": (lambda p, s: changed(s, MIDDLE, np.inf), "shape", MIDDLE),
     "a start moved by 1e-5": (lambda p, s: changed(s, 0, 1e-5), "start", 0),
@@ -147,7 +152,7 @@ def test_a_swapped_goal_is_refused(judged, problem, states):
     assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["goal"]
 
 
-def test_a_repeated_state_changes_nothing(judged, states):
+def test_a_state_repeated_at_once_is_the_same_motion(judged, states):
     assert judged(np.insert(states, MIDDLE, states[MIDDLE], axis=0))[0] == 0
 
 

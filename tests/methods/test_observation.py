@@ -43,6 +43,11 @@ def test_a_scene_of_shapes_is_looked_at_by_cameras(problem):
     assert len(cloud) == 1024 and np.abs(distances - 0.1).max() < VOXEL
 
 
+def test_of_nothing_networks_see_two_points_under_the_base(problem):
+    cloud = seen(problem)
+    assert cloud.shape == (2, 3) and (cloud[:, 2] < -0.5).all()
+
+
 def test_a_given_cloud_wins_over_the_scenes(problem):
     """Whatever the method would look at."""
     method = Method("looks", lambda robot, weights: Stages(observe=Observer()))
