@@ -115,7 +115,7 @@ CHECKS = (
     Check(
         "memory is flat (50 MB), no slow-down, nothing said at the end: all planners in one process",
         "plans",
-        27,
+        0,
         10_000,
         lives,
     ),
