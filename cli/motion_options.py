@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cli.options import numbers
 from cli.robot_options import chosen_robot
@@ -119,8 +118,15 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     return from_plain(Region, {name: said}, "--constraint")
 
 
+def _rpy(T: np.ndarray) -> list[float]:
+    """Roll, pitch and yaw [rad] of a pose (4, 4)."""
+    from scipy.spatial.transform import Rotation  # a third of a second to import
+
+    return Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()
+
+
 AT_START: Mapping[str, Callable[[np.ndarray], dict[str, Any]]] = {
     "upright": lambda T: {"axis": upper_axis(T)},
-    "fixed-orientation": lambda T: {"rpy": Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()},
+    "fixed-orientation": lambda T: {"rpy": _rpy(T)},
 }
 """What a constraint by name takes from the end effector's pose (4, 4) at the start."""

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cli.options import numbers, positive
 from cvqmpt_lab.errors import InvalidInputError
@@ -154,6 +153,8 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
     names = ", ".join(path.name for path in files)
     yield f"scan        {names}: {made.steps[0].before} points, {made.unseen} pixels or rows without one"
     if made.levelled is not None:
+        from scipy.spatial.transform import Rotation  # a third of a second to import
+
         T, plane = made.levelled
         tilt = np.degrees(np.arccos(np.clip(plane.normal @ CAMERA_UP, -1.0, 1.0)))
         yield (

@@ -1,6 +1,6 @@
 """An independent judgement of a path: shares no code with planners or kernels, and leaves no gaps between samples.
 
-Poses come from pinocchio, distances from coal, rotation vectors from scipy. A path that fails is a
+Poses and rotation vectors come from pinocchio, distances from coal. A path that fails is a
 failure, whatever the planner says.
 """
 

@@ -60,6 +60,11 @@ def make_folder(path: Path) -> Path:
     return Path(path)
 
 
+def cache_folder() -> Path:
+    """Where this user's caches are kept; it need not be there."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "cvqmpt_lab"
+
+
 def require_regular_file(path: Path, what: str = "file") -> Path:
     """Refuse what is there and no file, such as a pipe, which a reader would wait for; InvalidInputError names it."""
     path = Path(path)

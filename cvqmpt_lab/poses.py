@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.forms import Array, FloatArray, Schema
 from cvqmpt_lab.codec.plain import from_plain
@@ -23,6 +22,22 @@ def pose(xyz: Iterable[float], yaw: float = 0.0) -> FloatArray:
     T[:2, :2] = [[cosine, -sine], [sine, cosine]]
     T[:3, 3] = tuple(xyz)
     return T
+
+
+def rotation_matrices(vectors: FloatArray) -> FloatArray:
+    """Return the rotations (k, 3, 3) of rotation vectors (k, 3) [rad], to the last bit as scipy gives them."""
+    R = np.empty((len(vectors), 3, 3))
+    for matrix, (a, b, c) in zip(R, vectors.tolist(), strict=True):
+        angle = math.sqrt(a * a + b * b + c * c)
+        square = angle * angle
+        small = 0.5 - square / 48 + square * square / 3840
+        half = math.sin(angle / 2) / angle if angle > 1e-3 else small
+        x, y, z, w = half * a, half * b, half * c, math.cos(angle / 2)
+        xx, yy, zz, ww = x * x, y * y, z * z, w * w
+        matrix[0] = xx - yy - zz + ww, 2 * (x * y - z * w), 2 * (x * z + y * w)
+        matrix[1] = 2 * (x * y + z * w), -xx + yy - zz + ww, 2 * (y * z - x * w)
+        matrix[2] = 2 * (x * z - y * w), 2 * (y * z + x * w), -xx - yy + zz + ww
+    return R
 
 
 @dataclass(frozen=True)
@@ -47,6 +62,8 @@ class Placement:
     @property
     def matrix(self) -> FloatArray:
         """The same as a (4, 4) array."""
+        from scipy.spatial.transform import Rotation  # a third of a second to import
+
         T = pose(self.xyz)
         if self.rpy is not None:
             T[:3, :3] = Rotation.from_euler("xyz", self.rpy).as_matrix()

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.robot.arrays import rotation_vectors
 from cvqmpt_lab.robot.robot import Robot
 
 ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
@@ -64,4 +64,4 @@ def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> 
     """Where the end effector stands in a region, (m, 6): position [m] and rotation vector [rad] that `Bw` bounds."""
     poses, references = robot.poses(states), region.reference_poses(robot, states)
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
-    return np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
+    return np.hstack([T[:, :3, 3], rotation_vectors(T[:, :3, :3])])

@@ -6,14 +6,13 @@ from functools import cached_property, lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.kernels.manifold.projection import project, projection_scratch
 from cvqmpt_lab.kernels.manifold.regions import Regions, batch_residual_and_jacobian
-from cvqmpt_lab.poses import Pose
+from cvqmpt_lab.poses import Pose, rotation_matrices
 from cvqmpt_lab.robot.robot import Robot
 
 TOLERANCE = 1e-4  # on |F|, OMPL's default
@@ -114,7 +113,7 @@ class TaskSpaceRegion(Checked):
                 "cannot sample poses of a region whose rotation bounds lie beyond angle pi"
             )
         T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
-        T_w_displaced[:, :3, :3] = Rotation.from_rotvec(x[:, 3:]).as_matrix()
+        T_w_displaced[:, :3, :3] = rotation_matrices(x[:, 3:])
         T_w_displaced[:, :3, 3] = x[:, :3]
         return self.T0_w @ T_w_displaced @ self.Tw_e
 

@@ -11,11 +11,11 @@ from cvqmpt_lab.kernels.collision.geometry import (
     CELL,
     RobotGeometry,
     SceneGeometry,
-    robot_geometry,
     scene_geometry,
 )
 from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, SPHERE
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
+from cvqmpt_lab.planning.stored_geometry import stored_robot_geometry
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cells import MOST_BALLS, cells_of, merged
@@ -49,7 +49,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         specs.extend(carried)
         links.extend([hand] * len(carried))
     pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
-    return robot_geometry(specs, links, [*robot.self_collision_pairs, *pairs])
+    return stored_robot_geometry(specs, links, [*robot.self_collision_pairs, *pairs])
 
 
 @lru_cache(maxsize=8)

@@ -54,7 +54,7 @@ class Eyes:
         key = cloud.tobytes()
         if anew or key not in self._seen:
             distance = np.empty_like(self.blank.distance)
-            points = np.ascontiguousarray(cloud, dtype=float)
+            points = np.array(cloud, dtype=float, order="C")  # read-only arrays would be compiled for anew
             fill_distances(points, LOWER, CELL, np.empty(distance.shape), distance)
             self._seen[key] = self.blank._replace(distance=distance)
             if len(self._seen) > CLOUDS:

@@ -46,3 +46,9 @@ def in_link(frames: list[np.ndarray], joint: int, placement: pin.SE3) -> tuple[i
     T = placement.homogeneous
     T[:3] = frames[joint].T @ T[:3]
     return int(joint), T
+
+
+def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3), of angles up to pi."""
+    turns = [pin.AngleAxis(matrix) for matrix in matrices]
+    return np.array([turn.angle * turn.axis for turn in turns]).reshape(-1, 3)

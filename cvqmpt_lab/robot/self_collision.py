@@ -6,7 +6,6 @@ an SRDF to the user's cache folder, from which `cvqmpt robot --srdf-out` copies 
 """
 
 import hashlib
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -16,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import make_folder, write_text
+from cvqmpt_lab.files import cache_folder, make_folder, write_text
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry
 from cvqmpt_lab.robot.srdf import LeftOut, read_srdf, srdf_text
@@ -77,10 +76,9 @@ def cache_file(model: pin.Model, links: Sequence[LinkGeometry]) -> Path:
         digest.update(piece.T_link_geometry.tobytes() + np.sort(piece.vertices, axis=0).tobytes())
     digest.update(f"{list(model.parents)} {[j.shortname() for j in model.joints]}".encode())
     digest.update(np.concatenate([model.lowerPositionLimit, model.upperPositionLimit]).tobytes())
-    folder = (
-        Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "cvqmpt_lab" / "self_collision"
+    return (
+        cache_folder() / "self_collision" / f"{model.name.replace('/', '_')}-{digest.hexdigest()[:16]}.srdf"
     )
-    return folder / f"{model.name.replace('/', '_')}-{digest.hexdigest()[:16]}.srdf"
 
 
 def link_of_piece(model: pin.Model, item: pin.GeometryObject) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.cameras.camera import DepthCamera, Lens, cameras_on_sphere
 from cvqmpt_lab.cameras.noise import DepthNoise, MaterialShares, measured
@@ -163,6 +162,8 @@ def _solid(item: SceneObject) -> Solid:
 
 def _faces(vertices: FloatArray) -> FloatArray:
     """Planes (f, 4) of the convex hull of vertices (n, 3), each once although it may hold several triangles."""
+    from scipy.spatial import ConvexHull  # a third of a second to import
+
     return np.unique(ConvexHull(vertices).equations.round(12), axis=0)
 
 

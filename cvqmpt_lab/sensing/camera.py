@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.cameras.camera import Lens
 from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Such
@@ -124,6 +123,8 @@ def _rigid(data: Any) -> Any:
     turn = T[:3, :3]
     rounded = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() <= ROUNDED
     if rounded and np.linalg.det(turn) > 0.0:
+        from scipy.spatial.transform import Rotation  # a third of a second to import
+
         T[:3, :3] = Rotation.from_matrix(turn).as_matrix()
     return T
 

@@ -4,7 +4,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
@@ -42,6 +41,8 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
 
 def lonely(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
     """Which of points (m, 3) have fewer than `neighbours` others within radius [m]: a mask (m,)."""
+    from scipy.spatial import cKDTree  # a third of a second to import
+
     distances, _ = cKDTree(points).query(points, k=[neighbours + 1], distance_upper_bound=radius)
     return ~np.isfinite(distances[:, 0])
 
@@ -52,6 +53,8 @@ def _pieces(robot: Robot) -> tuple[_Piece, ...]:
 
 
 def _piece(part: LinkGeometry) -> _Piece:
+    from scipy.spatial import ConvexHull
+
     T = part.T_link_geometry
     vertices = part.vertices @ T[:3, :3].T + T[:3, 3]
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))

@@ -232,7 +232,10 @@ def fill(bounds, grid, block_start, block_items, reach, work):
             continue
         _add_all(bounds, grid, kept, near, n, reach, work)
         _store(grid, bx, by, bz, work.best2, work.best)
-        items = _with_room(items, used + work.counts.sum())
+        listed = 0
+        for s in range(LISTS):  # work.counts.sum() would import scipy.linalg wherever this is loaded
+            listed += work.counts[s]
+        items = _with_room(items, used + listed)
         for s in range(LISTS):
             count = work.counts[s]
             lx, ly, lz = SIDE * bx + (s >> 4), SIDE * by + (s >> 2 & 3), SIDE * bz + (s & 3)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from cvqmpt_lab.kernels.compiling import kernel
 
@@ -78,6 +77,8 @@ class Hull(NamedTuple):
 
 def convex_hull(points: np.ndarray) -> Hull:
     """Return the hull of points (n, 3) [m]; flat and straight sets of points have one too."""
+    from scipy.spatial import ConvexHull, QhullError  # a third of a second to import, and needed once a robot
+
     centred = points - points.mean(axis=0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     along = along[:, np.ptp(along, axis=0) > FLAT]

@@ -1,0 +1,44 @@
+import numpy as np
+
+from cvqmpt_lab.kernels.collision import geometry
+from cvqmpt_lab.kernels.collision.separation import BOX
+from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
+from cvqmpt_lab.planning import stored_geometry
+from cvqmpt_lab.planning.stored_geometry import stored_robot_geometry
+
+
+def arm(length):
+    shapes = [ShapeSpec(BOX, (0.1, 0.1, length), np.empty((0, 3)), np.eye(4)) for _ in range(3)]
+    return shapes, [0, 1, 3], [(0, 2)]
+
+
+def arrays(bundle):
+    return [*bundle.pieces, *bundle[1:]]
+
+
+def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is_damaged(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = []
+    monkeypatch.setattr(
+        stored_geometry, "robot_geometry", lambda *a: made.append(a) or geometry.robot_geometry(*a)
+    )
+    first = stored_robot_geometry(*arm(0.6))
+    again = stored_robot_geometry(*arm(0.6))
+    assert len(made) == 1 and type(again) is type(first) and type(again.largest) is float
+    for one, other in zip(arrays(first), arrays(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+    (path,) = (tmp_path / "cvqmpt_lab" / "robot_geometry").iterdir()
+    for damaged in (path.read_bytes()[:-200], b"", b"no arrays"):
+        path.write_bytes(damaged)
+        assert stored_robot_geometry(*arm(0.6)).largest == first.largest
+    assert len(made) == 4
+    assert stored_robot_geometry(*arm(0.9)).largest > first.largest
+
+
+def test_without_a_place_for_the_cache_arrays_are_made(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert list(stored_robot_geometry(*arm(0.6)).body_link) == [0, 1, 3]
