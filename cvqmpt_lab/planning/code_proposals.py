@@ -7,7 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.kernels.search.tree_growth import CONNECTED, FULL, REMOVED, enlarged, plant
-from cvqmpt_lab.kernels.search.walk import UNKNOWN, block_way, move_code, walk
+from cvqmpt_lab.kernels.search.walk import UNKNOWN, move_code, walk
 from cvqmpt_lab.planning.birrt import FIRST_CAPACITY, checked_tree_path
 from cvqmpt_lab.planning.code_graph import SeenGraph
 from cvqmpt_lab.planning.code_sequences import CodePath, SequenceSearch, SequenceSettings
@@ -137,7 +137,7 @@ class Walker:
     def walk(self, predicted: CodePath) -> JointPath | None:
         """The way along a sequence, if it is free; otherwise what blocks it is not predicted again."""
         while True:
-            status = walk(
+            status, blocked = walk(
                 self._arrays,
                 self.search.graph,
                 self.search.question,
@@ -155,14 +155,26 @@ class Walker:
             self.trees = enlarged(self.trees)
         path = checked_tree_path(self._space, self.trees) if status == CONNECTED else None
         if status == CONNECTED and path is None:
-            self._block_grazing(predicted)
+            blocked = self._take_back(predicted)
+        if blocked >= 0:
+            self._block(predicted, blocked)
         return path
 
-    def _block_grazing(self, predicted: CodePath) -> None:
-        """Take the motion back that has just failed its fine check, and all that was walked behind it."""
-        standing = self._standing[predicted.codes]
-        gone = self.trees.nodes[0, standing, 0] == REMOVED
-        first = int(np.argmax(gone)) if gone.any() else len(gone)
-        block_way(self.search.graph, self.search.question, predicted.codes, first, predicted.goal)
-        everywhere = self._standing >= 0
-        self._standing[everywhere & (self.trees.nodes[0, self._standing, 0] == REMOVED)] = -1
+    def _take_back(self, predicted: CodePath) -> int:
+        """Forget what stood behind a motion that has just failed its fine check; which motion of the sequence it is."""
+        removed = self.trees.nodes[0, :, 0] == REMOVED
+        gone = removed[self._standing[predicted.codes]]
+        self._standing[(self._standing >= 0) & removed[self._standing]] = -1
+        return int(np.argmax(gone)) if gone.any() else len(gone)
+
+    def _block(self, predicted: CodePath, motion: int) -> None:
+        """Make one motion of a sequence cost more than anything."""
+        graph, question, codes = self.search.graph, self.search.question, predicted.codes
+        if motion == 0:
+            question.entry_price[question.entry == codes[0]] = np.inf
+        elif motion == len(codes):
+            exits = slice(*question.exit_first[codes[-1] : codes[-1] + 2])
+            question.exit_price[exits][question.exit_goal[exits] == predicted.goal] = np.inf
+        else:
+            arcs = slice(*graph.first[codes[motion - 1] : codes[motion - 1] + 2])
+            graph.price[graph.edge[arcs][graph.neighbour[arcs] == codes[motion]]] = np.inf

@@ -41,24 +41,6 @@ def move_code(
 
 @entry
 @kernel
-def block_way(graph: CodeGraph, question: CodeQuestion, codes: Annotated[np.ndarray, "int32 steps"], k, goal):
-    """Make the way to the k-th code, or from the last one to the goal, cost more than anything."""
-    if k == 0:
-        for slot in range(question.entry.shape[0]):
-            if question.entry[slot] == codes[0]:
-                question.entry_price[slot] = np.inf
-    elif k == codes.shape[0]:
-        for slot in range(question.exit_first[codes[k - 1]], question.exit_first[codes[k - 1] + 1]):
-            if question.exit_goal[slot] == goal:
-                question.exit_price[slot] = np.inf
-    else:
-        for arc in range(graph.first[codes[k - 1]], graph.first[codes[k - 1] + 1]):
-            if graph.neighbour[arc] == codes[k]:
-                graph.price[graph.edge[arc]] = np.inf
-
-
-@entry
-@kernel
 def walk(
     space: Space,
     graph: CodeGraph,
@@ -80,8 +62,9 @@ def walk(
 
     Returns
     -------
-    CONNECTED when the goal was reached, GROWING when the way is blocked, what blocks it being marked, FULL when a
-    tree has no room for the motion.
+    status: CONNECTED when the goal was reached, GROWING when the way is blocked, FULL when a tree has no room for the
+    motion.
+    blocked: which motion blocks the way, counted from the start; -1 where a code does, which is marked, or none.
     """
     here, first = np.int64(0), 0
     for k in range(codes.shape[0]):
@@ -92,17 +75,16 @@ def walk(
             if not free:
                 question.factor[codes[k]] = np.inf
         if state[codes[k]] == BLOCKED:
-            return GROWING
+            return GROWING, -1
         if standing[codes[k]] >= 0:
             here, first = standing[codes[k]], k + 1
     for k in range(first, codes.shape[0] + 1):
         target = question.goals[goal] if k == codes.shape[0] else graph.nodes[codes[k]]
         written = bisect_motion(space, trees.nodes[0, here], target, np.inf, room)
         if written == 0:
-            block_way(graph, question, codes, k, goal)
-            return GROWING
+            return GROWING, k
         if trees.size[0] + written + 1 >= trees.nodes.shape[1]:
-            return FULL
+            return FULL, -1
         for i in range(written):
             new = trees.size[0]
             for j in range(room.shape[1]):
@@ -113,4 +95,4 @@ def walk(
         if k < codes.shape[0]:
             standing[codes[k]] = here
     trees.meeting[0], trees.meeting[1] = here, goal
-    return CONNECTED
+    return CONNECTED, -1
