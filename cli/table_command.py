@@ -40,6 +40,5 @@ def run(args: argparse.Namespace) -> int:
 def show_tables(directory: Path) -> None:
     """Render a directory, print a line a planner, and say where the rest lies."""
     written = render_directory(directory)
-    print("\n".join(written.brief))
-    names = ", ".join(path.name for path in (*written.paths[1:], directory / "runs.csv"))
-    print(f"all numbers: {written.paths[0]} ({names})")
+    title, *lines = written.brief
+    print("\n".join([f"{title}; all numbers: {written.paths[0]}", *lines]))
