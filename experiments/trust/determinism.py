@@ -23,7 +23,9 @@ def _rows(
     suite: str, words: tuple[object, ...], workers: int, environment: Mapping[str, str]
 ) -> list[ResultRow]:
     with tempfile.TemporaryDirectory() as folder:
-        done = command.run(("reproduce", suite, *words, "--jobs", workers, "--out", folder), **environment)
+        done = command.run(
+            ("reproduce", suite, *words, "--jobs", workers, "--out", folder), None, **environment
+        )
         if done.returncode:
             raise RuntimeError(f"cvqmpt reproduce {suite} ended with {done.returncode}: {done.stderr[-400:]}")
         return read_rows(Path(folder) / RUNS_FILE)
