@@ -46,7 +46,7 @@ def _others() -> None:
     problem = _problem()
     problem = problem.with_goals(problem.start[None])
     rehearse_proposal(problem, planner_named("roadmap-cvq"), "compiled")
-    rehearse_proposal(problem, planner_named("opt-cvq-mpt"), "compiled")
+    rehearse_proposal(problem, planner_named("opt-cvq-route"), "compiled")
     space, q = ConstrainedSpace(problem), np.array(problem.start)
     space.project(q)
     space.valid(q)
