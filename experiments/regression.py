@@ -63,6 +63,9 @@ CASES: tuple[Case, ...] = (
     *_cases("mpnet", (2, 5), 20_000),
     *_cases("cvq-mpt", (2, 5), 20_000),
     *_cases("opt-cvq-mpt", (2, 5), 20_000),
+    *_cases("opt-algorithm-2", (5,), 20_000),  # guards the latent update, which no other planner uses
+    *_cases("cvq-route", (2, 5), 20_000),
+    *_cases("opt-cvq-route", (2, 5), 20_000),
     *_cases("roadmap-cvq", (2, 5, 8), 20_000),
     *_cases("birrt", (1,), 20_000, "sensor"),  # from rendered images, through filters, in a map
     *_cases("roadmap-cvq", (1,), 20_000, "sensor"),

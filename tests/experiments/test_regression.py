@@ -77,7 +77,9 @@ def test_a_broken_planner_turns_red_also_on_another_machine(few, monkeypatch):
     ] * 2
 
 
-TOUCHED = tuple(Case(planner, 5, 0, 20_000) for planner in ("birrt", "cvq-mpt", "opt-cvq-mpt"))
+TOUCHED = tuple(
+    Case(planner, 5, 0, 20_000) for planner in ("birrt", "cvq-mpt", "opt-cvq-mpt", "opt-algorithm-2")
+)
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +107,9 @@ def to_one_goal(planner, space, start, goals, *rest, original=BiRRT.search):
 @pytest.mark.parametrize(
     ("where", "name", "broken", "turn_red"),
     [
-        (GaussianMixture, "sample", means_alone, ["cvq-mpt", "opt-cvq-mpt"]),
-        (LatentObjective, "value_and_gradient", uphill, ["opt-cvq-mpt"]),
-        (BiRRT, "search", to_one_goal, ["birrt", "cvq-mpt", "opt-cvq-mpt"]),
+        (GaussianMixture, "sample", means_alone, ["cvq-mpt", "opt-cvq-mpt", "opt-algorithm-2"]),
+        (LatentObjective, "value_and_gradient", uphill, ["opt-algorithm-2"]),
+        (BiRRT, "search", to_one_goal, ["birrt", "cvq-mpt", "opt-cvq-mpt", "opt-algorithm-2"]),
     ],
     ids=["sampler", "optimizer", "planner"],
 )
@@ -189,7 +191,7 @@ def test_unreadable_expectations_name_the_cure(tmp_path, text):
 def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     committed = Expectations.load(EXPECTED)
     assert sorted(item.case for item in committed.outcomes) == sorted(CASES)
-    assert {case.planner for case in CASES} == set(table.PLANNERS)
+    assert {case.planner for case in CASES} == {*table.PLANNERS, "opt-algorithm-2"}
     assert {item.values["fail_reason"] for item in committed.outcomes} == {None, "iteration_limit"}
 
 
