@@ -49,10 +49,10 @@ def test_an_unknown_backend_of_an_experiment_is_refused(capsys, tmp_path):
     assert not out.exists()
 
 
-def test_reproduce_names_the_files_it_wrote(capsys, tmp_path):
+def test_reproduce_writes_its_files_and_names_the_one_to_read(capsys, tmp_path):
     words = ["reproduce", "place-task", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
     assert main([*words, "--iterations", "20000", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     for name in ("runs.csv", "table.md", "table.tex", "table.csv"):
-        assert (tmp_path / name).is_file() and name in out
+        assert (tmp_path / name).is_file()
     assert str(tmp_path / "table.md") in out and "birrt" in out

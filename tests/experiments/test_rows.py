@@ -65,8 +65,8 @@ def test_every_way_to_fail_has_its_reason():
     of_trajectories = {FaultKind.VELOCITY, FaultKind.ACCELERATION, FaultKind.CURRENT}
     faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
     phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}
-    ours = {FailReason.PLANNER_ERROR, FailReason.WORKER_DIED}
-    assert statuses | faults | phases | ours == set(FailReason)
+    lost = {FailReason.WORKER_DIED, FailReason.WORKER_HUNG, FailReason.OUT_OF_MEMORY}
+    assert statuses | faults | phases | lost | {FailReason.PLANNER_ERROR} == set(FailReason)
 
 
 def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words(solution):
