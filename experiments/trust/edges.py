@@ -20,7 +20,7 @@ from experiments.trust.check import Check, Trial
 
 Rng = np.random.Generator
 Made = Callable[[Rng], PlanningProblem]
-ENOUGH, SECOND = Budget(iterations=3000), Budget(seconds=1.0)
+ENOUGH = Budget(iterations=3000)
 LONGEST = 10.0
 """[s] of processor time that a plan may take, arrays of 10 000 obstacles, goals, shortening and proof included."""
 READY = np.array([0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8])
@@ -78,20 +78,6 @@ def already_there(rng: Rng) -> PlanningProblem:
     problem = between(rng)
     others = problem.goals if rng.random() < 0.5 else problem.goals[:0]
     return problem.with_goals(np.concatenate([others, problem.start[None]]))
-
-
-def blocked(rng: Rng) -> PlanningProblem:
-    """Plates from the column outwards stand between start and goal, before and behind, under a low ceiling."""
-    problem = between(rng, spread=0.2)
-    start, goal = problem.start.copy(), problem.start.copy()
-    start[0], goal[0] = -np.pi / 2, np.pi / 2
-    problem = replace(problem, start=start)
-    plates = [
-        SceneObject(name, Box((2.0, 0.02, 5.0)), pose((side * 1.15, 0.0, 2.7)))
-        for name, side in (("before", 1.0), ("behind", -1.0))
-    ]
-    plates.append(SceneObject("ceiling", Box((5.0, 5.0, 0.02)), pose((0.0, 0.0, 0.95))))
-    return replace(problem, goals=goal[None], scene=Scene("blocked", tuple(plates)))
 
 
 def narrow(width: float, rng: Rng) -> PlanningProblem:
@@ -179,7 +165,6 @@ EDGES: dict[str, tuple[Edge, int, int]] = {
     "joints at their limits": (Edge(at_a_limit, True), 4, 200),
     "the start is a goal": (Edge(already_there, True, WITHOUT_CONSTRAINT), 5, 200),
     "nothing in the scene": (Edge(between, True, WITHOUT_CONSTRAINT), 5, 200),
-    "no way out": (Edge(blocked, False, budget=SECOND), 1, 20),
     "regions of no width": (Edge(partial(narrow, 0.0), True), 2, 100),
     "regions of 0.2 mm": (Edge(partial(narrow, 2e-4), True), 2, 100),
     "10 000 obstacles": (Edge(partial(crowded, 10_000, 0.02, 0.9), None), 1, 5),
