@@ -180,7 +180,7 @@ def trees_are_trees(seed: int) -> None:
 
 
 def paths_are_sound(seed: int) -> None:
-    """From the start to a goal; solved where the certificate proves every edge, else refused with a reason."""
+    """From the start to a goal, through edges that the certificate proves."""
     problem = problem_around(seed)
     if problem is None:
         return
@@ -191,7 +191,7 @@ def paths_are_sound(seed: int) -> None:
     for path in (solution.plan.path, solution.simplified.path):
         np.testing.assert_array_equal(path.states[0], problem.start)
         assert (path.states[-1] == solution.problem.goals).all(axis=1).any()
-    assert solution.solved == solution.certificate.valid != bool(solution.certificate.reasons)
+    assert solution.certificate.valid, solution.certificate.reasons
 
 
 def _attack(holds: Callable[..., None], strategies: dict[str, st.SearchStrategy], count: int) -> Trial:

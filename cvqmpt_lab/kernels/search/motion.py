@@ -16,6 +16,7 @@ GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below
 CHORD = 6e-4  # [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the rim
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
+KINK = 1.25e-3  # [rad] between looks at a motion near that angle, where F may rise to a point anywhere
 SLIVER = 5e-5  # [m] motions are not looked at more finely than this
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
@@ -133,7 +134,7 @@ def chord_on_manifold(space, a, b):
     """Whether the straight joint motion between two states on the manifold stays within CHORD of it.
 
     The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the motion is
-    looked at every space.resolution.
+    looked at every KINK.
     """
     scratch = space.scratch
     if scratch.residual.shape[0] == 0:
@@ -152,7 +153,7 @@ def chord_on_manifold(space, a, b):
             return False
         k += 1
         if pieces == 2 and _near_half_turn(space):
-            k, pieces = 1, max(3, int(np.ceil(distance(a, b) / space.resolution)))
+            k, pieces = 1, max(3, int(np.ceil(distance(a, b) / KINK)))
     return True
 
 

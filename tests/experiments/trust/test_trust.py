@@ -8,6 +8,7 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from experiments.trust.check import Check, Finding, Trial
 from experiments.trust.figures import BEGIN, END, HEAD, record
+from experiments.trust.properties import paths_are_sound
 from experiments.trust.table import PARTS, checks_of
 
 SHORT = [(part, check) for part in PARTS for check in checks_of(part) if check.short]
@@ -23,6 +24,11 @@ def finding(promise, tried, faults=()):
     return Finding(
         "files", Check(promise, "inputs", 1, 2, lambda count: Trial(count, ())), Trial(tried, faults), 1.0
     )
+
+
+def test_a_motion_through_the_half_turn_of_a_region_stays_on_the_manifold():
+    """Found by the long form: F rose to its kink between two looks at a shortened motion."""
+    paths_are_sound(268)
 
 
 def test_figures_replace_those_of_the_same_promise_and_keep_the_others(tmp_path):
