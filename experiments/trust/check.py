@@ -1,5 +1,6 @@
 """What a promise is put to: so many trials, and the faults that they found."""
 
+import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -40,16 +41,24 @@ class Finding:
     trial: Trial
     seconds: float
     """Wall time [s]."""
+    processor: float
+    """Processor time [s] of this process and those that it began and that ended."""
 
     def __str__(self) -> str:
         verdict = f"{len(self.trial.faults)} faults" if self.trial.faults else "no fault"
         return (
             f"{self.part:14} {self.check.promise}: {self.trial.tried} {self.check.unit}, {verdict} "
-            f"({self.seconds:.0f} s)"
+            f"({self.seconds:.0f} s, {self.processor:.0f} s of a processor)"
         )
 
 
 def made(part: str, check: Check, trials: int) -> Finding:
     """Make a check."""
-    began = time.perf_counter()
-    return Finding(part, check, check.attack(trials), time.perf_counter() - began)
+    began, worked = time.perf_counter(), _processor()
+    trial = check.attack(trials)
+    return Finding(part, check, trial, time.perf_counter() - began, _processor() - worked)
+
+
+def _processor() -> float:
+    uses = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(use.ru_utime + use.ru_stime for use in uses)

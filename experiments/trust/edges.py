@@ -20,7 +20,7 @@ from experiments.trust.check import Check, Trial
 
 Rng = np.random.Generator
 Made = Callable[[Rng], PlanningProblem]
-ENOUGH = Budget(iterations=3000)
+ENOUGH, SECOND = Budget(iterations=3000), Budget(seconds=1.0)
 LONGEST = 10.0
 """[s] of processor time that a plan may take, arrays of 10 000 obstacles, goals, shortening and proof included."""
 READY = np.array([0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8])
@@ -78,6 +78,18 @@ def already_there(rng: Rng) -> PlanningProblem:
     problem = between(rng)
     others = problem.goals if rng.random() < 0.5 else problem.goals[:0]
     return problem.with_goals(np.concatenate([others, problem.start[None]]))
+
+
+def blocked(rng: Rng) -> PlanningProblem:
+    """A peg beside the shoulder, which the first joint alone moves: a quarter turn hits it, however others stand."""
+    peg = SceneObject("peg", Box((0.01, 0.01, 0.02)), pose((0.09, 0.0, 0.25)))
+    problem = between(rng, Scene("blocked", (peg,)), spread=0.1)
+    quarter = problem.robot.random_configurations(rng, 200)
+    quarter[:, 0] = np.pi / 2
+    assert problem.collision_checker().in_collision_batch(quarter).all()
+    goal = problem.goals.copy()
+    goal[:, 0] = 2.6
+    return replace(problem, goals=goal)
 
 
 def narrow(width: float, rng: Rng) -> PlanningProblem:
@@ -165,6 +177,7 @@ EDGES: dict[str, tuple[Edge, int, int]] = {
     "joints at their limits": (Edge(at_a_limit, True), 4, 200),
     "the start is a goal": (Edge(already_there, True, WITHOUT_CONSTRAINT), 5, 200),
     "nothing in the scene": (Edge(between, True, WITHOUT_CONSTRAINT), 5, 200),
+    "no way out": (Edge(blocked, False, ("birrt", "roadmap-cvq"), SECOND), 2, 20),
     "regions of no width": (Edge(partial(narrow, 0.0), True), 2, 100),
     "regions of 0.2 mm": (Edge(partial(narrow, 2e-4), True), 2, 100),
     "10 000 obstacles": (Edge(partial(crowded, 10_000, 0.02, 0.9), None), 1, 5),

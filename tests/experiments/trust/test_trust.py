@@ -22,7 +22,11 @@ def test_the_short_form_finds_no_fault(part, check):
 
 def finding(promise, tried, faults=()):
     return Finding(
-        "files", Check(promise, "inputs", 1, 2, lambda count: Trial(count, ())), Trial(tried, faults), 1.0
+        "files",
+        Check(promise, "inputs", 1, 2, lambda count: Trial(count, ())),
+        Trial(tried, faults),
+        1.0,
+        1.0,
     )
 
 
