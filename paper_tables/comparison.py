@@ -6,7 +6,7 @@ Pure functions of rows. A run's work is its projections and state checks, which 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import median
+from statistics import fmean, median
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from cvqmpt_lab.results.statistics import (
     Interval,
     geometric_mean_interval,
     mean_of_solved,
+    median_interval,
     problem_key,
     wilson_interval,
 )
@@ -25,7 +26,9 @@ HARD_SHARE = 1 / 3
 
 Value = Callable[[ResultRow], float | None]
 """A number of a run, None where the row does not say."""
-Statistic = Callable[[Sequence[float]], Interval]
+Seeds = Sequence[Sequence[float]]
+"""Numbers of problems, one a seed: seeds of one problem are not independent, so a problem counts once."""
+Statistic = Callable[[Seeds], Interval]
 
 
 STATE_CHECK_COST = 3.5e-3
@@ -69,23 +72,48 @@ RATIOS: Mapping[str, tuple[str, Value]] = {
 """What the split compares: metric name, its label, its value."""
 
 
-def censored(rows: Sequence[ResultRow], value: Value) -> list[float]:
+def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
+    """Rows of equal problems together, in the order in which they come."""
+    found: dict[str, list[ResultRow]] = {}
+    for row in rows:
+        found.setdefault(row.problem, []).append(row)
+    return list(found.values())
+
+
+def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
+    """Values of the rows that say one; problems where none does are left out."""
+    found = ([number for row in seeds if (number := value(row)) is not None] for seeds in by_problem(rows))
+    return [numbers for numbers in found if numbers]
+
+
+def censored(rows: Sequence[ResultRow], value: Value) -> list[list[float]]:
     """Values of solved runs and +inf for failures; nothing when no solved run has one."""
-    found = [value(row) for row in rows if row.solved]
-    defined = [number for number in found if number is not None]
-    if found and not defined:
+    solved = [row for row in rows if row.solved]
+    if solved and not values_of(solved, value):
         return []
-    return defined + [math.inf] * (len(rows) - len(found))
+    return values_of(rows, lambda row: value(row) if row.solved else math.inf)
 
 
-def share(rows: Sequence[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
-    """Percentage of rows."""
-    return wilson_interval(sum(map(counted, rows)), len(rows)).scaled(100)
+def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
+    """Share of the rows, of a problem with several seeds in part."""
+    shares = [fmean(map(counted, seeds)) for seeds in by_problem(rows)]
+    return wilson_interval(math.fsum(shares), len(shares))
 
 
-def mean(values: Sequence[float]) -> Interval:
+def share(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
+    """The same in percent."""
+    return fraction(rows, counted).scaled(100)
+
+
+def typical(values: Seeds) -> Interval:
+    """Median over problems, of each one's median over seeds."""
+    return median_interval([median(seeds) for seeds in values])
+
+
+def mean(values: Seeds) -> Interval:
     """Mean of finite values; each bootstrap starts from the same seed, so that metrics do not interact."""
-    return mean_of_solved(values, np.random.default_rng(0))
+    finite = ([number for number in seeds if math.isfinite(number)] for seeds in values)
+    return mean_of_solved([fmean(seeds) for seeds in finite if seeds], np.random.default_rng(0))
 
 
 def paired_ratio(

@@ -18,7 +18,7 @@ SHOWN = {name: RATIOS[name] for name in ("work_ratio", "own_time_ratio", "length
 HEADER = [
     "constraint",
     "planner",
-    "runs",
+    "problems",
     "solved [%]",
     *(f"{label} / {REFERENCE}" for label, _ in SHOWN.values()),
 ]

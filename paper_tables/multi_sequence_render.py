@@ -61,7 +61,7 @@ def render_markdown(table: PhasesTable) -> str:
     parts["Fallbacks"] = count_lines(table.planners, "fallbacks")
     parts["Failures"] = count_lines(table.planners, "failures")
     sections = [f"## {title}\n\n{markdown_table(lines)}" for title, lines in parts.items()]
-    notes = "".join(f"- {note}\n" for note in (*NOTES, *table.published_notes))
+    notes = "".join(f"- {note}\n" for note in (*NOTES, *table.footnotes, *table.published_notes))
     return "\n".join([*sections, f"## Notes\n\n{notes}"])
 
 

@@ -9,11 +9,19 @@ from operator import attrgetter
 
 from cvqmpt_lab.results.phase_name import PAPER_PHASES, split_problem
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
-from cvqmpt_lab.results.statistics import Interval, median_interval
-from paper_tables.comparison import Statistic, Value, censored, mean, network_time, share
+from cvqmpt_lab.results.statistics import Interval
+from paper_tables.comparison import Statistic, Value, censored, mean, network_time, share, typical
 from paper_tables.paper_numbers import PublishedValue, notes_on
 from paper_tables.statements import Statement, Verdict, judged
-from paper_tables.summary import Metric, PlannerSummary, Runs, by_planner, rows_of_one_suite, summarised
+from paper_tables.summary import (
+    Metric,
+    PlannerSummary,
+    Runs,
+    by_planner,
+    rows_of_one_suite,
+    seed_notes,
+    summarised,
+)
 
 SOLVED = attrgetter("solved")
 PARTS: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
@@ -95,7 +103,7 @@ def metrics(phases: Iterable[str]) -> dict[str, Metric]:
                 label, "s", _over_tasks(mean, value, counted), published
             )
             found[time_metric(time, part, "median")] = Metric(
-                label, "s", _over_tasks(median_interval, value, counted)
+                label, "s", _over_tasks(typical, value, counted)
             )
     for phase in phases:
         found[phase_metric("solved", phase)] = Metric("solved [%]", "%", _solved_in(phase))
@@ -127,7 +135,7 @@ def _solved_in(phase: str) -> Callable[[Runs], Interval]:
 
 def _median_in(phase: str, value: Value) -> Callable[[Runs], Interval]:
     """Over the runs that reached the phase, failures as infinite."""
-    return lambda runs: median_interval(censored(reached(runs.rows, phase), value))
+    return lambda runs: typical(censored(reached(runs.rows, phase), value))
 
 
 STATEMENTS = (
@@ -145,6 +153,7 @@ class PhasesTable:
     phases: tuple[str, ...]
     planners: tuple[PlannerSummary, ...]
     verdicts: tuple[Verdict, ...]
+    footnotes: tuple[str, ...]
     published_notes: tuple[str, ...]
 
 
@@ -161,21 +170,20 @@ def build_phases_table(rows: Iterable[ResultRow], published: Sequence[PublishedV
     rows = rows_of_one_suite(rows)
     names = [split_problem(row.problem) for row in rows]
     phases = tuple(phase for _, phase in sorted({(name.number, name.phase) for name in names}))
+    groups = by_planner(rows, published)
     run = {row.planner for row in rows}
     measured = metrics(phases)
     return PhasesTable(
         suite=rows[0].suite,
         n_tasks=len({name.task for name in names}),
         phases=phases,
-        planners=tuple(
-            summarised(name, Runs(group), published, measured)
-            for name, group in by_planner(rows, published).items()
-        ),
+        planners=tuple(summarised(name, Runs(group), published, measured) for name, group in groups.items()),
         verdicts=judged(
             STATEMENTS,
             task_rows(rows, PAPER_PHASES),
             published,
             {time: value for time, (_, value) in TIMES.items()},
         ),
+        footnotes=tuple(seed_notes(groups)),
         published_notes=tuple(notes_on(value for value in published if value.planner in run)),
     )

@@ -13,7 +13,6 @@ from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
     Interval,
     jointly_solved,
-    median_interval,
     problem_key,
 )
 from paper_tables.comparison import (
@@ -30,9 +29,19 @@ from paper_tables.comparison import (
     share,
     split_by_work,
     split_metric,
+    typical,
+    values_of,
 )
 from paper_tables.paper_numbers import PublishedValue, notes_on
-from paper_tables.summary import Metric, PlannerSummary, Runs, by_planner, rows_of_one_suite, summarised
+from paper_tables.summary import (
+    Metric,
+    PlannerSummary,
+    Runs,
+    by_planner,
+    rows_of_one_suite,
+    seed_notes,
+    summarised,
+)
 
 BASELINE = "ompl-projected"
 CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -49,7 +58,7 @@ def _over_solved(statistic: Statistic, value: Value, joint: bool = False) -> Cal
 
     def measure(runs: Runs) -> Interval:
         rows = [row for row in runs.rows if row.solved and (not joint or problem_key(row) in runs.joint)]
-        return statistic([float(number) for number in map(value, rows) if number is not None])
+        return statistic(values_of(rows, value))
 
     return measure
 
@@ -87,25 +96,21 @@ _vertices = attrgetter("vertices")
 
 METRICS: Mapping[str, Metric] = {
     "accuracy": Metric("Accuracy", "%", _share(attrgetter("solved")), "accuracy"),
-    "time_median": Metric("Time", "s", _over_all(median_interval, _time)),
+    "time_median": Metric("Time", "s", _over_all(typical, _time)),
     "time_mean": Metric("Time", "s", _over_all(mean, _time), "time"),
-    "vertices_median": Metric("Vertices", "1", _over_solved(median_interval, _vertices)),
+    "vertices_median": Metric("Vertices", "1", _over_solved(typical, _vertices)),
     "vertices_mean": Metric("Vertices", "1", _over_solved(mean, _vertices), "vertices"),
-    "path_length_median": Metric("Path length", "rad", _over_solved(median_interval, _length, joint=True)),
+    "path_length_median": Metric("Path length", "rad", _over_solved(typical, _length, joint=True)),
     "path_length_mean": Metric("Path length", "rad", _over_solved(mean, _length, joint=True), "path_length"),
-    "path_length_raw_median": Metric(
-        "raw length [rad]", "rad", _over_solved(median_interval, _raw, joint=True)
-    ),
-    "projections_median": Metric("projections", "1", _over_all(median_interval, attrgetter("n_projections"))),
+    "path_length_raw_median": Metric("raw length [rad]", "rad", _over_solved(typical, _raw, joint=True)),
+    "projections_median": Metric("projections", "1", _over_all(typical, attrgetter("n_projections"))),
     "newton_iterations_median": Metric(
-        "Newton iterations", "1", _over_all(median_interval, attrgetter("n_newton_iterations"))
+        "Newton iterations", "1", _over_all(typical, attrgetter("n_newton_iterations"))
     ),
-    "state_checks_median": Metric(
-        "state checks", "1", _over_all(median_interval, attrgetter("n_state_checks"))
-    ),
+    "state_checks_median": Metric("state checks", "1", _over_all(typical, attrgetter("n_state_checks"))),
     "time_ratio": Metric(f"time / {BASELINE}", "1", _ratio(_time, BASELINE)),
     "fallbacks": Metric("by fallback [%]", "%", _share(lambda row: row.fallback is not None)),
-    "paper_cost_median": Metric("time at the paper's cost [s]", "s", _over_all(median_interval, paper_cost)),
+    "paper_cost_median": Metric("time at the paper's cost [s]", "s", _over_all(typical, paper_cost)),
     **{
         f"paper_cost_ratio_{name}": Metric(f"the same / {name}", "1", _ratio(paper_cost, name))
         for name in COST_RATIO_BASELINES
@@ -228,10 +233,9 @@ def _footnotes(
     silent = sorted(name for name in groups if name not in solving)
     if silent:
         yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
-    if len({frozenset(map(problem_key, group)) for group in groups.values()}) > 1:
-        yield "The planners did not all run the same problems and seeds: their columns do not compare."
-    if len({row.seed for group in groups.values() for row in group}) > 1:
-        yield "Several seeds: runs count one by one except in the time ratio; intervals may be narrow."
+    if len({frozenset(row.problem for row in group) for group in groups.values()}) > 1:
+        yield "The planners did not all run the same problems: their columns do not compare."
+    yield from seed_notes(groups)
     if len({row.seed for group in groups.values() for row in group if row.planner == REFERENCE}) == 1:
         yield (
             f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every other planner's "

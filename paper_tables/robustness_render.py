@@ -15,7 +15,15 @@ TITLES = {
     "resolution": "Edge of the map's cells [m]",
     "padding": "Padding of the map's cells [m]",
 }
-HEADER = ["value", "planner", "runs", "solved [%]", "free in truth [%]", "collide in truth", "length [rad]"]
+HEADER = [
+    "value",
+    "planner",
+    "problems",
+    "solved [%]",
+    "free in truth [%]",
+    "collide in truth",
+    "length [rad]",
+]
 NOTES = (
     "One thing is varied, everything else is at its default (marked *). Scenes, starts and goals are the same.",
     "Solved: certified in the map, Wilson interval; a start or goal that the map takes for occupied is a failure.",

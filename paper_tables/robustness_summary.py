@@ -6,8 +6,8 @@ from operator import attrgetter
 
 from cvqmpt_lab.results.phase_name import split_problem
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, median_interval
-from paper_tables.comparison import share
+from cvqmpt_lab.results.statistics import Interval
+from paper_tables.comparison import share, typical, values_of
 
 UNIFORM = "birrt"
 """The planner whose samples are uniform; the others' are learned."""
@@ -83,7 +83,6 @@ def _order(value: str) -> float:
 
 def _level(factor: str, value: str, planner: str, usual: str, rows: Sequence[ResultRow]) -> Level:
     paths = [row for row in rows if row.solved]
-    lengths = [row.path_length_rad for row in paths if row.path_length_rad is not None]
     return Level(
         factor=factor,
         value=value,
@@ -91,7 +90,7 @@ def _level(factor: str, value: str, planner: str, usual: str, rows: Sequence[Res
         default=value == usual,
         solved=share(rows, attrgetter("solved")),
         true_free=share(paths, lambda row: row.true_free is True),
-        length=median_interval(lengths),
+        length=typical(values_of(paths, attrgetter("path_length_rad"))),
         collisions=sum(row.true_free is False for row in paths),
     )
 

@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, median_interval
+from cvqmpt_lab.results.statistics import Interval
 from paper_tables.cells import markdown_table
-from paper_tables.comparison import Value, share
+from paper_tables.comparison import Value, share, typical, values_of
 from paper_tables.paper_numbers import PublishedValue
 from paper_tables.place_task_render import BRIEF, render_latex, render_markdown
 from paper_tables.place_task_summary import METRICS, build_place_table
@@ -34,11 +34,7 @@ def true_share(rows: Iterable[ResultRow]) -> Interval:
 
 def _median_of(column: str) -> Callable[[Runs], Interval]:
     """Over the runs that say it."""
-    return lambda runs: median_interval(_defined(runs.rows, attrgetter(column)))
-
-
-def _defined(rows: Iterable[ResultRow], value: Value) -> list[float]:
-    return [number for row in rows if (number := value(row)) is not None]
+    return lambda runs: typical(values_of(runs.rows, attrgetter(column)))
 
 
 SENSED: Mapping[str, Metric] = {

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, wilson_interval
+from cvqmpt_lab.results.statistics import Interval
 from paper_tables.cells import Lines, estimate
-from paper_tables.comparison import Value, paired_ratio
+from paper_tables.comparison import Value, fraction, paired_ratio
 from paper_tables.paper_numbers import PublishedValue
 
 NOTHING = "–"
@@ -88,7 +88,7 @@ def judged_share(
 ) -> tuple[Verdict, ...]:
     """The verdict on a share of the planner's rows that is at least `reduction`; none where it was not run."""
     own = [row for row in rows if row.planner == statement.planner]
-    ours = wilson_interval(sum(map(counted, own)), len(own))
+    ours = fraction(own, counted)
     if ours.low is None or ours.high is None:
         return ()
     reached = Ruling.CONFIRMED if ours.low >= statement.reduction else Ruling.COMPATIBLE

@@ -151,6 +151,20 @@ def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
     return tuple(sorted(counts, key=lambda count: (-count.runs, count.what)))
 
 
+def seed_notes(groups: Mapping[str, Sequence[ResultRow]]) -> Iterable[str]:
+    """How several seeds of a problem count, if there are any, and who ran fewer."""
+    seeds = {name: len({row.seed for row in group}) for name, group in groups.items()}
+    most = max(seeds.values(), default=1)
+    if most > 1:
+        yield (
+            "Several seeds: a problem counts once in every number and interval, with its median, its mean or its share "
+            "over seeds; ratios pair runs by problem and seed."
+        )
+    fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
+    if fewer:
+        yield f"Seeds, where they are fewer than {most}: {', '.join(fewer)}."
+
+
 def count_lines(planners: Iterable[PlannerSummary], what: str) -> Lines:
     """Failures or fallbacks of all planners; what: "failures" or "fallbacks"."""
     lines = [["planner", "what", "for example", "runs"]]

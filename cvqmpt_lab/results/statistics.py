@@ -7,6 +7,7 @@ something is undefined (no data) an `Interval` holds None, never 0.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,8 +47,11 @@ class Interval:
 UNDEFINED = Interval(None, None, None, 0)
 
 
-def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+def wilson_interval(successes: float, n: int, confidence: float = CONFIDENCE) -> Interval:
     """Success rate with Wilson's score interval (Wilson 1927), as fractions in [0, 1].
+
+    Where a trial succeeds in part (2 of 5 seeds), successes is the sum of these shares. The interval is then wide
+    rather than narrow: a share between 0 and 1 varies no more than a trial of that probability.
 
     Raises
     ------
@@ -59,10 +63,11 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> I
     _checked_confidence(confidence)
     if n == 0:
         return UNDEFINED
-    from scipy.stats import binomtest  # half a second to import, for those who make tables alone
-
-    bounds = binomtest(successes, n).proportion_ci(confidence, method="wilson")
-    return Interval(successes / n, float(bounds.low), float(bounds.high), n)
+    rate, z = successes / n, NormalDist().inv_cdf((1.0 + confidence) / 2.0)
+    middle = rate + z**2 / (2.0 * n)
+    half = z * math.sqrt(rate * (1.0 - rate) / n + (z / (2.0 * n)) ** 2)
+    low, high = ((middle + side) / (1.0 + z**2 / n) for side in (-half, half))
+    return Interval(rate, low if successes > 0 else 0.0, high if successes < n else 1.0, n)
 
 
 def median_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:

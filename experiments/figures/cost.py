@@ -7,11 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
-from cvqmpt_lab.results.statistics import Interval, median_interval
+from cvqmpt_lab.results.statistics import Interval
 from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
-from paper_tables.comparison import REFERENCE, STATE_CHECK_COST, censored, own_time, paired_ratio, work
+from paper_tables.comparison import (
+    REFERENCE,
+    STATE_CHECK_COST,
+    censored,
+    own_time,
+    paired_ratio,
+    typical,
+    work,
+)
 from paper_tables.summary import by_planner, rows_of_one_suite
 
 OURS = 1e-6
@@ -50,7 +58,7 @@ def draw_cost(folder: Path) -> list[Path]:
         if name != REFERENCE
     }
     times = {
-        name: [median_interval(censored(rows, partial(time_at, price))) for price in PRICES]
+        name: [typical(censored(rows, partial(time_at, price))) for price in PRICES]
         for name, rows in groups.items()
     }
     microseconds = [1e6 * price for price in PRICES]

@@ -49,9 +49,13 @@ def test_work_at_other_costs_adds_networks_and_leaves_goals_out():
 
 def test_failures_are_infinite():
     rows = [run("x", 0, 5), run("x", 1, 7, solved=False), run("x", 2)]
-    assert censored(rows, work) == [5.0, math.inf]
+    assert censored(rows, work) == [[5.0], [math.inf]]
     assert censored([run("x", 0), run("x", 1, solved=False)], work) == []
-    assert censored([run("x", 1, solved=False)], work) == [math.inf]
+    assert censored([run("x", 1, solved=False)], work) == [[math.inf]]
+    assert censored([run("x", 0, 5, seed=0), run("x", 0, 7, seed=1), run("x", 1, 1)], work) == [
+        [5.0, 7.0],
+        [1.0],
+    ]
 
 
 # ---------------------------------------------------------------- ratios

@@ -3,6 +3,7 @@ import io
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 
@@ -13,6 +14,7 @@ from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 from experiments.suites.table import SUITES
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_render import render_latex, render_markdown, render_place
+from paper_tables.place_task_statements import place_verdicts
 from paper_tables.place_task_summary import HEADLINES, build_place_table
 from paper_tables.render import TABLES, render_directory
 
@@ -142,6 +144,40 @@ def test_seeds_of_a_problem_are_one_pair():
     ratio = summaries(table)["birrt"].measured["time_ratio"]
     assert (ratio.estimate, ratio.n) == (pytest.approx(2**0.5), 2)
     assert any("Several seeds" in note for note in table.footnotes)
+
+
+def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
+    once = [replace(row, n_state_checks=i, n_projections=1) for i, row in enumerate(some_rows())]
+    five_times = [replace(row, seed=seed) for seed in range(5) for row in once]
+    for one, five in zip(
+        *(build_place_table(rows, PAPER).planners for rows in (once, five_times)), strict=True
+    ):
+        assert five.n_runs == 5 * one.n_runs
+        for name, interval in one.measured.items():
+            same = five.measured[name]
+            assert same.n == interval.n
+            assert (same.estimate, same.low, same.high) == pytest.approx(
+                (interval.estimate, interval.low, interval.high)
+            ), name
+    verdicts = (
+        place_verdicts([*rows, *(replace(row, planner="cvq-mpt") for row in rows)], PAPER)
+        for rows in (once, five_times)
+    )
+    assert next(verdicts) == next(verdicts) != ()
+
+
+def test_a_problem_solved_by_some_seeds_is_solved_in_part():
+    rows = [run("birrt", i, 1.0, seed=s) for i in range(10) for s in range(2)]
+    rows = [run("birrt", 0, seed=0), *rows[1:]]
+    measured = summaries(build_place_table(rows, PAPER))["birrt"].measured
+    assert measured["accuracy"] == wilson_interval(9.5, 10).scaled(100)
+    assert measured["time_median"].n == 10 and measured["time_mean"].estimate == 1.0
+
+
+def test_who_ran_fewer_seeds_is_named():
+    rows = [*some_rows(), *(run("birrt", i, 1.0, seed=1) for i in range(10))]
+    (note,) = [note for note in build_place_table(rows, PAPER).footnotes if "fewer" in note]
+    assert note == "Seeds, where they are fewer than 2: ompl-projected 1."
 
 
 def test_unequal_problem_sets_are_pointed_out():
