@@ -21,7 +21,7 @@ EXAMPLES = (
     "cvqmpt train stage2 --profile compact --data data/paths --dictionary runs/dictionary --out runs/model",
     "cvqmpt train sight --data data/roadmap --out runs/seeing",
     "cvqmpt train sequences --data data/roadmap --model runs/seeing --out runs/sequences",
-    "cvqmpt train mpnet --profile compact --data data/paths --out runs/mpnet --minutes 30",
+    "cvqmpt train mpnet --data data/roadmap --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
     "cvqmpt train stage1 --config mine.json --data data/paths --out runs/mine",
 )

@@ -18,6 +18,8 @@ from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.training.paths import Labels, Paths, Scenes, Shapes, thinned
+from cvqmpt_lab.training.roadmap_paths import path_arrays
+from cvqmpt_lab.training.roadmap_shards import ROADMAP_FILE, read_roadmap_shards
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     INDEX_FILE,
@@ -90,7 +92,7 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
     Parameters
     ----------
     folder
-        What ``cvqmpt data generate`` wrote.
+        What ``cvqmpt data generate`` wrote; of roadmap labels some paths of each scene are read.
     verify
         Compare every shard with its sha256.
 
@@ -116,7 +118,10 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
         chain = from_plain(SerialChain, description["kinematics"], f"{path}: kinematics")
         if len(chain.rotation) != joints:
             raise InvalidInputError(f"{path}: kinematics has {len(chain.rotation)} joints, lower {joints}")
-    shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
+    if (folder / ROADMAP_FILE).exists():
+        shards = path_arrays(read_roadmap_shards(folder), robot)
+    else:
+        shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
     digest = hashlib.sha256(read_bytes(path) + read_bytes(folder / INDEX_FILE)).hexdigest()
     return PathDataset(folder, robot, families, chain, digest, _scenes(shards), _paths(shards))
 

@@ -87,7 +87,7 @@ def _compact() -> Profile:
         ),
         mpnet=MPNetSettings(
             epochs=10,
-            batches=replace(batches, spacing=0.5),  # its clouds have n_points points, too
+            batches=replace(batches, spacing=0.5, batches_per_epoch=300),  # clouds have n_points points, too
             optimizer=OptimizerSettings(rate=5e-4, schedule="cosine", epsilon=1e-8, clip=1.0),
         ),
     )

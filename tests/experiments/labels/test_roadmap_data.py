@@ -7,6 +7,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
 from cvqmpt_lab.training.shards import FULL_SCALE, finished_shards
 from experiments.labels.roadmap_data import RoadmapRecipe
@@ -61,6 +62,27 @@ def test_paths_walk_free_edges_and_cost_what_they_say(shard, scene):
         states = np.concatenate([[start], graph.nodes[codes], [goal]])
         length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
         assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
+
+
+def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(tiny):
+    dataset, robot = open_dataset(tiny), panda()
+    shards = read_roadmap_shards(tiny)
+    labels = [
+        (shard, row) for shard in shards for row in np.flatnonzero(np.isfinite(shard.arrays["cost"])).tolist()
+    ]
+    assert len(dataset.paths) == len(labels) > 4
+    assert len(dataset.scenes) == sum(len(shard.arrays["family"]) for shard in shards) == 4
+    for path, (shard, row) in enumerate(labels):
+        arrays = shard.arrays
+        q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
+        steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+        assert steps.max() < 0.135 and steps.sum() == pytest.approx(arrays["cost"][row], rel=2e-3)
+        codes = arrays["codes"][arrays["code_start"][row] : arrays["code_start"][row + 1]].astype(int)
+        nearest = np.linalg.norm(q[:, None] - shard.graph.nodes[codes], axis=2).argmin(0)
+        assert (np.diff(nearest) > 0).all()
+        assert np.abs(q[nearest] - shard.graph.nodes[codes]).max() < 1e-3
+        scene = int(dataset.paths.scene[path])
+        assert dataset.scenes.seed[scene] == arrays["scene_seed"][arrays["path_scene"][row]]
 
 
 def test_every_family_validates_equally_often():
