@@ -10,6 +10,9 @@ from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
 
+MOST_COLUMNS = 5
+"""Of numbers side by side on a page of LaTeX."""
+
 Lines = Sequence[Sequence[str]]
 """A table as lines of cells, the header first."""
 
@@ -60,7 +63,20 @@ def markdown_table(lines: Lines, none: str = "None.") -> str:
 
 
 def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
-    """A table over two columns (booktabs), two label columns first, with a rule between blocks."""
+    """A table over two columns (booktabs), two label columns first, with a rule between blocks.
+
+    Where it has more than MOST_COLUMNS columns of numbers, those that are left make tables of their own.
+    """
+    name, texts = "".join(c if c.isalnum() else "-" for c in label), []
+    for first in range(2, len(blocks[0][0]), MOST_COLUMNS):
+        part = slice(first, first + MOST_COLUMNS)
+        head = rf"\caption{{{latex(caption)}}}\label{{tab:{name}}}" if first == 2 else r"\caption{Continued.}"
+        texts.append(_latex_float(head, [[[*line[:2], *line[part]] for line in block] for block in blocks]))
+    return "".join(texts)
+
+
+def _latex_float(head: str, blocks: Sequence[Lines]) -> str:
+    """One of them; head: its caption."""
     body: list[str] = []
     for block in blocks:
         body += [r"\midrule"] if body else []
@@ -69,8 +85,7 @@ def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
         [
             r"\begin{table*}[t]",
             r"  \centering\scriptsize\setlength{\tabcolsep}{3pt}",
-            rf"  \caption{{{latex(caption)}}}",
-            rf"  \label{{tab:{''.join(c if c.isalnum() else '-' for c in label)}}}",
+            f"  {head}",
             rf"  \begin{{tabular}}{{ll{'c' * (len(blocks[0][0]) - 2)}}}",
             r"    \toprule",
             *(f"    {line}" for line in body),

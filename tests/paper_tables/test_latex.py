@@ -1,0 +1,80 @@
+"""Every committed LaTeX table: well formed, and compiled onto pages where there is a compiler."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from paper_tables.cells import MOST_COLUMNS, latex_table
+from paper_tables.committed import RESULTS
+
+TABLES = sorted(RESULTS.glob("*/table.tex"))
+COMPILER = shutil.which("pdflatex")
+DOCUMENT = (
+    r"\documentclass[twocolumn]{article}\usepackage[a4paper,margin=15mm]{geometry}\usepackage{booktabs}"
+    "\n\\begin{document}\n%s\n\\end{document}\n"
+)
+
+
+def tables_of(text):
+    """Lines of cells of every table in a file, and how many columns each declares."""
+    for part in text.split(r"\begin{table*}")[1:]:
+        columns = re.search(r"\\begin\{tabular\}\{([lc]+)\}", part)[1]
+        body = part.split(r"\toprule")[1].split(r"\bottomrule")[0]
+        lines = [line.strip() for line in body.strip().splitlines() if r"\midrule" not in line]
+        assert all(line.endswith(r"\\") for line in lines)
+        yield [re.split(r"(?<!\\)&", line.removesuffix(r"\\")) for line in lines], len(columns)
+
+
+def assert_well_formed(text):
+    """What a compiler would complain about, asked without one."""
+    table = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
+    assert table.isascii()
+    plain = re.sub(r"\\[&%$#_{}\\]", "", table)
+    assert plain.count("{") == plain.count("}")
+    begun, ended = (re.findall(rf"\\{word}\{{(.+?)\}}", plain) for word in ("begin", "end"))
+    assert begun == ["table*", "tabular"] * (len(begun) // 2) and sorted(begun) == sorted(ended)
+    found = list(tables_of(table))
+    for lines, columns in found:
+        assert {len(line) for line in lines} == {columns} and 2 < columns <= 2 + MOST_COLUMNS
+    for cell in (cell for lines, _ in found for line in lines for cell in line):
+        assert not re.search(r"(?<!\\)[&%#_]", cell) and not re.search(r"[\^~]", cell), cell
+
+
+@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.parent.name)
+def test_committed_tables_are_well_formed(path):
+    assert_well_formed(path.read_text(encoding="utf-8"))
+
+
+def test_malformed_tables_are_found():
+    good = latex_table("caption", "label", [[["", "", "a", "b"]], [["time", "ours", "1_0", "2 %"]]])
+    assert_well_formed(good)
+    for right, wrong in (
+        (r"1\_0", "1_0"),
+        (r"2 \%", "2 %"),
+        ("& a", "a"),
+        (r"\end{tabular}", ""),
+        ("1", "∞"),
+    ):
+        with pytest.raises(AssertionError):
+            assert_well_formed(good.replace(right, wrong))
+
+
+def test_planners_that_do_not_fit_side_by_side_make_tables_of_their_own():
+    names = [f"p{k}" for k in range(MOST_COLUMNS + 2)]
+    text = latex_table("", "x", [[["", "", *names]], [["time", "ours", *names]]])
+    found = [[[cell.strip() for cell in line] for line in lines] for lines, _ in tables_of(text)]
+    parts = names[:MOST_COLUMNS], names[MOST_COLUMNS:]
+    assert found == [[["", "", *part], ["time", "ours", *part]] for part in parts]
+    assert text.count(r"\label{tab:x}") == 1
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no pdflatex (Debian: apt install texlive-latex-recommended)")
+def test_committed_tables_compile_and_fit_on_pages(tmp_path):
+    tables = "\n\\clearpage\n".join(path.read_text(encoding="utf-8") for path in TABLES)
+    (tmp_path / "tables.tex").write_text(DOCUMENT % tables, encoding="utf-8")
+    words = [COMPILER, "-halt-on-error", "-interaction=nonstopmode", "tables.tex"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=120, errors="replace")
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Overfull" not in done.stdout and "too large" not in done.stdout
