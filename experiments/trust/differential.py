@@ -17,6 +17,7 @@ from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from experiments.bench.collision import near_contact
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 from experiments.trust.check import Check, Trial
+from experiments.trust.networks import networks_differ
 
 ENOUGH = Budget(iterations=20_000)
 STATES_A_PROBLEM, PATHS_A_PROBLEM = 5000, 50
@@ -182,6 +183,13 @@ CHECKS = (
         25,
         1000,
         in_parts(certificates, PATHS_A_PROBLEM),
+    ),
+    Check(
+        "what the networks compute in numpy, torch computes too",
+        "states",
+        2000,
+        100_000,
+        in_parts(networks_differ, STATES_A_PROBLEM),
     ),
     Check("motions are as fast as toppra's, to 1 %", "paths", 2, 1000, in_parts(durations, PATHS_A_PROBLEM)),
 )
