@@ -18,6 +18,7 @@ from experiments.bench.collision import near_contact
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 from experiments.trust.check import Check, Trial
 from experiments.trust.networks import networks_differ
+from experiments.trust.put_inside import unseen
 
 ENOUGH = Budget(iterations=20_000)
 STATES_A_PROBLEM, PATHS_A_PROBLEM = 5000, 50
@@ -183,6 +184,13 @@ CHECKS = (
         25,
         1000,
         in_parts(certificates, PATHS_A_PROBLEM),
+    ),
+    Check(
+        "an obstacle that a link or the can it carries is in is seen, of any size, its frame anywhere",
+        "obstacles",
+        20,
+        5000,
+        in_parts(unseen, 10 * PATHS_A_PROBLEM),
     ),
     Check(
         "what the networks compute in numpy, torch computes too",

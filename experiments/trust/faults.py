@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.trust import command, surroundings
+from experiments.trust import clock, command, surroundings
 from experiments.trust.check import Check, Trial
 from experiments.trust.commands import GENERATE, REPRODUCE, Command, training
 
@@ -86,4 +86,5 @@ CHECKS = (
     ),
     Check("kill -9 of a training", "kills", short=0, long=30, attack=_killed_training),
     *surroundings.CHECKS,
+    *clock.CHECKS,
 )

@@ -25,7 +25,7 @@ from experiments.trust.memory import resident
 FEW = Budget(iterations=60)
 PROBLEMS = 3
 WARM = 0.2
-"""Share of the plans after which a process should hold all it will ever hold."""
+"""Share of the plans after which a process should hold all it will ever hold; two plans of each planner at least."""
 GROWTH = 50 * 2**20
 """[bytes] after that."""
 OBJECTS = 0.1
@@ -52,7 +52,7 @@ def live(plans: int, out: Path) -> None:
     """Make so many plans with all planners in turn, and write what became of the process."""
     problems = list(islice(_problems(), PROBLEMS))
     work = list(islice(zip(cycle(PLANNERS), _each(problems, len(PLANNERS)), strict=False), plans))
-    warm, seconds = int(WARM * plans), np.empty(plans)
+    warm, seconds = max(int(WARM * plans), 2 * len(PLANNERS)), np.empty(plans)
     memory = objects = 0
     for k, (planner, problem) in enumerate(work):
         if k == warm:
@@ -61,7 +61,8 @@ def live(plans: int, out: Path) -> None:
         solve(problem, planner, FEW, seed=k, clearance=False)
         seconds[k] = time.process_time() - began
     memory_after, objects_after = _settled()
-    early, late = (seconds[int(a * plans) : int((a + WARM) * plans)].mean() for a in (WARM, 1.0 - WARM))
+    fifth = len(seconds[warm:]) // 4
+    early, late = seconds[warm : warm + fifth].mean(), seconds[plans - fifth :].mean()
     life = Life(memory_after - memory, objects_after - objects, float(late / early))
     write_text(out, json.dumps(asdict(life)))
 

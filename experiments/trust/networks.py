@@ -7,6 +7,7 @@ import torch
 
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.models.checkpoint import Checkpoint, as_modules
+from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.stored import StoredModel
 from cvqmpt_lab.prediction.code_encoder import CodeEncoder
 from cvqmpt_lab.prediction.collision_head import CollisionHead
@@ -37,6 +38,7 @@ def networks_differ(problem: PlanningProblem, states: int, seed: int) -> list[st
     of = ModelConfigurations(stored, problem.robot).of(q)
     codes = rng.integers(stored.config.dictionary.n_codes, size=(rows, LENGTH))
     model, ends = modules.sequence_model, torch.from_numpy(of)
+    assert isinstance(model, CompactSequenceModel)
     scene, of_ends = model.encode_scene([torch.from_numpy(cloud)]), modules.dictionary.encode(ends[None])[0]
     start_goal_codes = of_ends.view(2, rows).T
     theirs = model(scene, ends[:rows], ends[rows:], torch.from_numpy(codes), start_goal_codes).states.numpy()
