@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Suite, how much of it, with which planners, and where to."""
     parser.add_argument("suite", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
     parser.add_argument(
-        "--profile", default="full", help=f"of {ALL}: {' or '.join(PROFILES)} (full, a night)"
+        "--profile",
+        default="full",
+        help=f"of {ALL}: {', '.join(PROFILES)}; on two cores a night, an hour, ten minutes (full)",
     )
     parser.add_argument(
         "--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)"

@@ -8,20 +8,38 @@ from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from experiments import everything
-from experiments.everything import Amount, parts
+from experiments.everything import PROFILES, Amount, parts
 from experiments.suites.table import SUITES
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():
-    full = {part.folder: part for part in parts("full")}
-    assert full.keys() == {*SUITES, "controls"} and len(full["place-task"].experiment.seeds) == 5
-    assert {"cvq-no-uniform", "birrt"} <= set(full["controls"].experiment.planners)
-    small = parts("small")
-    assert {part.folder for part in small} <= full.keys() and all(part.experiment.problems for part in small)
+    full = {part.folder: part.experiment for part in parts("full")}
+    assert full.keys() == {*SUITES, "controls"}
+    for name in ("place-task", "multi-sequence"):
+        assert len(full[name].seeds) == 5 and set(full[name].planners) == set(PLANNERS)
+        assert full[name].problems == tuple(SUITES[name].problems)
+    assert {"cvq-no-uniform", "birrt"} <= set(full["controls"].planners)
     with pytest.raises(UnknownChoiceError, match="tiny"):
         parts("tiny")
+
+
+@pytest.mark.parametrize("profile", sorted(set(PROFILES) - {"full"}))
+def test_smaller_profiles_run_less_of_the_same(profile):
+    full = {part.folder: set(part.experiment.runs) for part in parts("full")}
+    for part in parts(profile):
+        mine = {replace(run, budget=None) for run in part.experiment.runs}
+        assert mine and mine <= {replace(run, budget=None) for run in full[part.folder]}, part.folder
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_amounts_of_one_folder_continue_each_other(profile):
+    settings = {}
+    for part in parts(profile):
+        settings.setdefault(part.folder, []).append(part.experiment.settings())
+    assert all(found == found[:1] * len(found) for found in settings.values())
 
 
 def test_amounts_of_everything_are_fixed(capsys, tmp_path):
@@ -35,7 +53,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     monkeypatch.setattr(
         everything, "SUITES", {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
     )
-    monkeypatch.setattr(everything, "PROFILES", {"small": {"place-task": Amount(1, cutoff=5.0)}})
+    monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})
     words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
