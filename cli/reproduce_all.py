@@ -27,8 +27,8 @@ def reproduce_all(args: argparse.Namespace) -> int:
     given = [f"--{name}" for name in FIXED if getattr(args, name) is not None]
     if given:
         raise InvalidInputError(
-            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs less, "
-            "or name one suite"
+            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile hour or small runs "
+            "less, or name one suite"
         )
     chosen, out, jobs = parts(args.profile), args.out or OUT, args.jobs or default_jobs()
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))

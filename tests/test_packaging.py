@@ -93,3 +93,12 @@ def test_contracts_can_break(tmp_path):
     done = linted(["--config", str(tmp_path / "contracts.ini")], tmp_path)
     assert done.returncode != 0
     assert [found for _, _, found in SPOILED if found not in done.stdout] == [], done.stdout
+
+
+def test_the_plan_of_the_house_names_every_room():
+    block = (ROOT / "docs" / "architecture.md").read_text().split("```")[1]
+    rooms = {word for line in block.splitlines() if re.match(r"  \w", line) for word in line[2:28].split()}
+    package = ROOT / "cvqmpt_lab"
+    found = {path.stem for path in package.glob("*.py")} - {"__init__"}
+    found |= {f"{path.parent.name}/" for path in package.glob("*/__init__.py")}
+    assert rooms == found
