@@ -1,4 +1,4 @@
-"""What a controller would do with a motion: limits, start, and the certificate of the curve itself.
+"""What a controller would do with a motion: limits, start, rest at both ends, and the certificate of the curve itself.
 
 Between its points a trajectory is cubic, through positions and velocities, as a robot's controller makes it.
 """
@@ -59,7 +59,8 @@ def dry_run(
         trajectory = _trajectory(motion, problem.robot.joint_names)
         times = _moments(trajectory)
         states = trajectory.at(times).positions
-        faults = _limit_faults(trajectory, motion, problem.robot.joint_limits, times)
+        limits = problem.robot.joint_limits
+        faults = [*_limit_faults(trajectory, motion, limits, times), *_rest_faults(trajectory, limits, times)]
         apart = 2.0 * reach_with(problem.robot, problem.attachments) * problem.robot.dof * FLAT
     if current is not None and usable:
         faults += _start_fault(problem, states[0], current, tolerance)
@@ -138,6 +139,20 @@ def _limit_faults(
             text = f"{name} reaches {reached:.4g} {unit}, its {kind} limit is {limit[joint]:.4g}"
             faults.append(
                 Fault(kind, text, float(np.interp(moments[k, joint], times, np.arange(len(times)))))
+            )
+    return faults
+
+
+def _rest_faults(trajectory: Trajectory, limits: JointLimits, times: np.ndarray) -> list[Fault]:
+    """Joints that move where the motion begins or ends, where an arm stands."""
+    faults = []
+    for what, end, at in (("begins", 0, 0.0), ("ends", -1, len(times) - 1.0)):
+        share = np.abs(trajectory.velocities[end]) / limits.velocity
+        joint = int(share.argmax())
+        if share[joint] > OVERSHOOT[FaultKind.VELOCITY]:
+            name, speed = limits.joint_names[joint], abs(trajectory.velocities[end, joint])
+            faults.append(
+                Fault(FaultKind.VELOCITY, f"{name} moves at {speed:.4g} rad/s where the motion {what}", at)
             )
     return faults
 

@@ -210,6 +210,19 @@ def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, traj
     assert code == 1 and abs(fault["time_s"] - trajectory.times[middle]) < 0.1
 
 
+@pytest.mark.parametrize(("part", "words"), [(slice(40), "ends"), (slice(40, None), "begins")])
+def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
+    judged, region_problem, trajectory, part, words
+):
+    """Each of its halves, between the state where it was cut and the end that it kept."""
+    kinds = ("times", "positions", "velocities", "accelerations")
+    half = replace(trajectory, **{kind: getattr(trajectory, kind)[part] for kind in kinds})
+    problem = replace(region_problem, start=half.positions[0], goals=half.positions[-1:])
+    code, found = judged(as_csv(half), problem)
+    (fault,) = found["faults"]
+    assert code == 1 and fault["kind"] == "velocity" and f"where the motion {words}" in fault["text"]
+
+
 def test_the_report_says_what_and_where(tmp_path, problem, states, capsys):
     file = tmp_path / "path.csv"
     np.savetxt(file, changed(states, MIDDLE, 0.5 * np.eye(7)[5]), delimiter=",", fmt="%.17g")
