@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import numbers
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import json_object, read_text, require_regular_file
 from cvqmpt_lab.trajectory.export import KINDS
@@ -147,13 +148,14 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
     ]
     if kinds[0] is None:
         raise InvalidInputError("a point has no 'positions'")
-    seconds = np.array([time["sec"] + 1e-9 * time.get("nanosec", 0) for time in times], dtype=float)
+    seconds = numbers([time["sec"] for time in times], "sec")
+    seconds = seconds + 1e-9 * numbers([time.get("nanosec", 0) for time in times], "nanosec")
     return Motion(names, kinds[0], seconds, kinds[1], kinds[2])
 
 
 def _table(rows: list[list[float]]) -> np.ndarray:
     """States (m, n); ValueError unless all are numbers, as many in each."""
-    table = np.array(rows, dtype=float)
+    table = numbers(rows, "states")
     if table.ndim != 2:
         raise ValueError(f"states of shape {table.shape}, give a list of lists of numbers")
     return table

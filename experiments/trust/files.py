@@ -1,5 +1,6 @@
 """Hostile files: an answer within a second, in one line, bounded memory, nothing run and nothing written elsewhere."""
 
+import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import scipy.stats  # noqa: F401  # tables import it late; here nobody shall wait for it
 
+from cvqmpt_lab.dry_run import dry_run
 from cvqmpt_lab.models.stored import read_model
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
@@ -20,6 +22,7 @@ from cvqmpt_lab.scene.files.meshes import KINDS, read_mesh, read_triangles
 from cvqmpt_lab.sensing.camera import Pinhole, read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth_images import read_depth
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.trajectory.reading import read_motion
 from experiments.trust import good_files
 from experiments.trust.check import Check, Trial
 from experiments.trust.contained import Hostile, attacked
@@ -34,6 +37,11 @@ CAMERA = Pinhole(12, 9, 10.0, 10.0, 5.5, 4.0)
 def _planned(path: Path) -> None:
     problem = PlanningProblem.load(path)
     solve(problem, "birrt", FEW, seed=0)
+
+
+def _dry_run(path: Path) -> None:
+    problem = PlanningProblem.from_dict(json.loads(good_files.problem()))
+    dry_run(problem, read_motion(path))
 
 
 def _moved(path: Path) -> None:
@@ -98,6 +106,10 @@ def _mix(make: Callable[[], bytes], rng: Rng) -> bytes:
 
 HOSTILE: Mapping[str, tuple[Hostile, ...]] = {
     "problems": (Hostile("problem.json", partial(_json_of, good_files.problem), _planned),),
+    "paths and trajectories": tuple(
+        Hostile(f"motion{ending}", partial(how, partial(good_files.motion, ending)), _dry_run)
+        for ending, how in ((".csv", _bytes_of), (".json", _json_of))
+    ),
     "tasks": (Hostile("task.json", partial(_json_of, good_files.task), Task.load),),
     "robots": (Hostile("arm.urdf", _urdf, _moved),),
     "clouds": tuple(
@@ -138,6 +150,7 @@ HOSTILE: Mapping[str, tuple[Hostile, ...]] = {
 LONG: Mapping[str, int] = {
     "problems": 20_000,
     "tasks": 20_000,
+    "paths and trajectories": 20_000,
     "robots": 20_000,
     "weights": 20_000,
     "training data": 20_000,

@@ -22,6 +22,8 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.trajectory.export import save_trajectory
+from cvqmpt_lab.trajectory.timing import time_path
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import place_problem
 
@@ -58,6 +60,16 @@ def problem() -> bytes:
     )
     plain = made.to_dict()
     return json.dumps(plain | {"constraint": [{"upright": 0.1}, *plain["constraint"]]}).encode()
+
+
+@lru_cache(maxsize=2)
+def motion(ending: str) -> bytes:
+    """A short trajectory of the Panda, as .csv or .json."""
+    ends = np.array([[0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8], [0.1, -0.7, 0.0, -2.2, 0.0, 1.6, 0.8]])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"motion{ending}"
+        save_trajectory(time_path(ends, _panda().joint_limits), path)
+        return path.read_bytes()
 
 
 @lru_cache(maxsize=1)
