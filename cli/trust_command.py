@@ -5,7 +5,7 @@ import datetime
 import sys
 from pathlib import Path
 
-from cli.options import writable_file
+from cli.options import positive_int, writable_file
 from experiments.trust.check import made
 from experiments.trust.figures import record
 from experiments.trust.table import PARTS, checks_of
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which parts, how long, where to write the figures."""
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} (all)")
     parser.add_argument("--long", action="store_true", help="as many trials as the page quotes (a few)")
+    parser.add_argument("--trials", type=positive_int, metavar="N", help="so many trials of each check")
     parser.add_argument("--only", default="", metavar="WORDS", help="checks whose promise has these words")
     parser.add_argument("--record", type=Path, metavar="F.md", help="write the figures into this page")
 
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the checks; exit code 1 when one found a fault."""
     chosen = [
-        (part, check, check.long if args.long else check.short)
+        (part, check, args.trials or (check.long if args.long else check.short))
         for part in args.parts or PARTS
         for check in checks_of(part)
         if args.only in check.promise
@@ -48,5 +49,6 @@ def run(args: argparse.Namespace) -> int:
             print(f"  {fault}")
         faulty += bool(finding.trial.faults)
         if args.record:
-            record(args.record, [finding], "long" if args.long else "short", datetime.date.today())
+            form = "part" if args.trials else "long" if args.long else "short"
+            record(args.record, [finding], form, datetime.date.today())
     return 1 if faulty else 0

@@ -14,7 +14,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Shape, Sphere
 
 ENOUGH = Budget(iterations=20_000)
 CAN = Attachment("can", Cylinder(0.02, 0.1), pose((0.0, 0.0, 0.17)))
@@ -44,6 +44,13 @@ def _cloud(rng: np.random.Generator) -> tuple[Shape, np.ndarray]:
     return PointCloud(points, 10.0 ** rng.uniform(-4.0, -1.5)), points[0]
 
 
+def _map(rng: np.random.Generator) -> tuple[Shape, np.ndarray]:
+    """An occupancy map of up to 500 cells, up to 100 km from its origin, and a point inside one of them."""
+    cells = rng.integers(-900_000, 900_000, 3) + rng.integers(0, 40, (rng.choice([1, 500]), 3))
+    edge = 10.0 ** rng.uniform(-3.0, -1.0)
+    return OccupancyMap(cells.astype(float), edge), (cells[0] + rng.uniform(0.01, 0.99, 3)) * edge
+
+
 def _inside(robot: Robot, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A point (3,) [m] inside a moving link at q, or inside the can in the hand."""
     if rng.random() < 0.2:
@@ -66,7 +73,7 @@ def unseen(problem: PlanningProblem, trials: int, seed: int) -> list[str]:
     for trial in range(trials):
         k = int(rng.integers(len(states) - 1))
         q = states[k] + rng.random() * (states[k + 1] - states[k])
-        shape, point = (_solid, _cloud)[trial % 2](rng)
+        shape, point = (_solid, _cloud, _map)[trial % 3](rng)
         T = np.eye(4)
         T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
         T[:3, 3] = _inside(problem.robot, q, rng) - T[:3, :3] @ point

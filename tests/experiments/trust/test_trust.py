@@ -60,7 +60,9 @@ def test_the_command_counts_prints_and_fails_on_a_fault(monkeypatch, capsys, tmp
     monkeypatch.setattr("cli.trust_command.checks_of", lambda part: checks)
     assert main(["trust", "files", "--only", "holds"]) == 0
     assert main(["trust", "files", "--long"]) == 1
+    assert main(["trust", "files", "--only", "holds", "--trials", "9"]) == 0
     out = capsys.readouterr().out
+    assert "holds: 9 inputs, no fault" in out
     assert (
         "breaks: 4 inputs, 1 faults" in out and "  seed 1: no" in out and "holds: 2 inputs, no fault" in out
     )
