@@ -62,7 +62,7 @@ def draw_cost(folder: Path) -> list[Path]:
         for name, rows in groups.items()
     }
     microseconds = [1e6 * price for price in PRICES]
-    label = "cost of a state check [us]"
+    label = "cost of a state check [µs]"
     figure = panels_figure(
         [
             Panel(

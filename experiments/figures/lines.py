@@ -1,5 +1,6 @@
 """Panels of lines with bands, one colour a planner in all of them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from cvqmpt_lab.results.statistics import Interval
 COLOURS = ("#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d")
 DASHES = ("-", "--", ":")
 FEW = 12  # points, each of which is marked
+LONG = 2.2  # powers of ten: a longer x axis is labelled at these alone
 REFERENCE_COLOUR = "0.55"
 
 
@@ -81,13 +83,15 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     if panel.level is not None:
         axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
-    for axis, scale, log in (
-        (axes.xaxis, axes.set_xscale, panel.log[0]),
-        (axes.yaxis, axes.set_yscale, panel.log[1]),
+    for axis, scale, longest, log in (
+        (axes.xaxis, axes.set_xscale, LONG, panel.log[0]),
+        (axes.yaxis, axes.set_yscale, math.inf, panel.log[1]),
     ):
         if log:
             scale("log")
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
+            low, high = axis.get_view_interval()
+            at = (1.0,) if math.log10(high / low) > longest else (1.0, 2.0, 5.0)
+            axis.set_major_locator(LogLocator(subs=at, numticks=12))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
     axes.grid(visible=True, which="major", color="0.92", linewidth=0.6)
