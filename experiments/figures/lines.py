@@ -42,7 +42,7 @@ class Panel:
     """Height of a dotted line, such as 1 for ratios."""
 
 
-def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
+def panels_figure(panels: Sequence[Panel], columns: int = 2, *, legend: bool = True) -> Figure:
     """The panels row by row, with one legend below."""
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.8 * columns, 3.6 * rows + 0.5), layout="constrained")
@@ -52,6 +52,8 @@ def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
         _draw(axes, panel, names)
     for axes in axes_of[len(panels) :]:
         axes.axis("off")
+    if not legend:
+        return figure
     handles = {
         label: handle
         for axes in axes_of

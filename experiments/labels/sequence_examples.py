@@ -87,9 +87,14 @@ def training_steps(
     scenes: int,
     paths: int,
     rng: np.random.Generator,
+    *,
+    validate: bool = False,
 ) -> Iterator[Steps]:
-    """Steps of at most `paths` paths of each of the first `scenes` scenes that train, each in a cloud of its own."""
-    for shard, scene, cloud in training_scenes(shards, scenes, rng):
+    """Steps of at most `paths` paths of each of the first `scenes` scenes that train, each in a cloud of its own.
+
+    validate: of those that validate instead.
+    """
+    for shard, scene, cloud in training_scenes(shards, scenes, rng, validate=validate):
         yield steps_of(seen, cloud, labelled_paths(robot, shard, scene, paths))
 
 

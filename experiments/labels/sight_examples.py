@@ -50,12 +50,16 @@ def examples_of(
 
 
 def training_scenes(
-    shards: Iterable[RoadmapShard], scenes: int, rng: np.random.Generator
+    shards: Iterable[RoadmapShard], scenes: int, rng: np.random.Generator, *, validate: bool = False
 ) -> Iterator[tuple[RoadmapShard, int, np.ndarray]]:
-    """The first `scenes` scenes that train, as rows of their shards, each with a cloud (m, 3) [m] of its own."""
+    """The first `scenes` scenes that train, as rows of their shards, each with a cloud (m, 3) [m] of its own.
+
+    validate: those that validate instead.
+    """
     for shard in shards:
         arrays = shard.arrays
-        for scene in np.flatnonzero(arrays["scene_seed"] % VALIDATION_EVERY != 0).tolist():
+        validates = arrays["scene_seed"] % VALIDATION_EVERY == 0
+        for scene in np.flatnonzero(validates == validate).tolist():
             if scenes == 0:
                 return
             scenes -= 1
