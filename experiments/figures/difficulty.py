@@ -27,7 +27,8 @@ SEEDS = range(100, 105)
 """Of the uniform searches that say how hard a problem is; tables use small ones."""
 ENOUGH = Budget(iterations=20_000)
 BINS = 5
-RATIO_NAMES = ("work_ratio", "own_time_ratio", "length_ratio")
+SPREAD = ("work_ratio", "own_time_ratio")
+RATIO_NAMES = (*SPREAD, "length_ratio")
 
 
 def difficulty(problem: PlanningProblem) -> float:
@@ -77,7 +78,8 @@ def draw_difficulty(folder: Path) -> list[Path]:
             f"median work of {REFERENCE} with other seeds",
             "%" if what == "solved" else "ratio",
             [Line(name, centres, values) for name, values in lines.items()],
-            log=(True, what != "solved"),
+            log=(True, what in SPREAD),
+            bands=what != "solved",  # many lie upon each other at 100 %
             level=None if what == "solved" else 1.0,
         )
         for what, lines in found.items()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.methods.table import PLANNERS
-from cvqmpt_lab.pipeline import Solution, solve
+from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, mean_of_solved, median_interval
@@ -68,6 +68,7 @@ def time_to(trace: Trace, length: float) -> float:
 
 def traces_of(problem: PlanningProblem, seconds: float) -> dict[str, Trace]:
     """What every method finds of a problem, by name."""
+    problem = with_sampled_goals(problem)[0]
     return {
         **{name: restarted(problem, name, seconds) for name in RESTARTED},
         **{f"{name} {IMPROVED}": improved(problem, name, seconds) for name in (REFERENCE, "roadmap-cvq")},

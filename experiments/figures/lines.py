@@ -40,6 +40,8 @@ class Panel:
     """Whether x and y are logarithmic."""
     level: float | None = None
     """Height of a dotted line, such as 1 for ratios."""
+    bands: bool = True
+    """Show intervals, where there are any."""
 
 
 def panels_figure(panels: Sequence[Panel], columns: int = 2, *, legend: bool = True) -> Figure:
@@ -80,8 +82,8 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
         axes.plot(x, y, marker=marker, label=line.name, color=shade, linestyle=dash)
         low = [i.low for i in line.y if i.estimate is not None and i.low is not None]
         high = [i.high for i in line.y if i.estimate is not None and i.high is not None]
-        if len(low) == len(high) == len(x):
-            axes.fill_between(x, low, high, color=shade, alpha=0.12, linewidth=0.0)
+        if panel.bands and len(low) == len(high) == len(x):
+            axes.fill_between(x, low, high, color=shade, alpha=0.09, linewidth=0.0)
     if panel.level is not None:
         axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
