@@ -93,8 +93,8 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     ):
         if log:
             scale("log")
-            low, high = axis.get_view_interval()
-            at = (1.0,) if math.log10(high / low) > longest else (1.0, 2.0, 5.0)
+            first, last = axis.get_view_interval()
+            at = (1.0,) if math.log10(last / first) > longest else (1.0, 2.0, 5.0)
             axis.set_major_locator(LogLocator(subs=at, numticks=12))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
