@@ -58,17 +58,18 @@ FULL = (
     Amount("open-door"),
 )
 HOUR = (
-    Amount("place-task", seeds=5, planners=QUICK),
-    CONTROLS_OF,
-    Amount("multi-sequence", seeds=5, planners=QUICK),
     Amount("place-task"),
+    CONTROLS_OF,
+    Amount("multi-sequence", seeds=3, planners=QUICK),
     Amount("sensor"),
     Amount("constraints", cutoff=5.0),
-    Amount("place-task-with-can", planners=QUICK),
     Amount("place-task-single-goal", cutoff=5.0, planners=QUICK),
     *(Amount(name, cutoff=3.0, planners=FAMILY) for name in FAMILIES),
     *(Amount(name, planners=ON_OTHER_ROBOTS) for name in ROBOTS),
     Amount("sensor-robustness", cutoff=3.0),
+    Amount("place-task", seeds=5, planners=QUICK),
+    Amount("multi-sequence", seeds=5, planners=QUICK),
+    Amount("place-task-with-can", planners=QUICK),
 )
 SMALL = (
     Amount("place-task", 10, cutoff=2.0),
