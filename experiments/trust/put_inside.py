@@ -38,10 +38,11 @@ def _solid(rng: np.random.Generator) -> tuple[Shape, np.ndarray]:
 
 
 def _cloud(rng: np.random.Generator) -> tuple[Shape, np.ndarray]:
-    """A cloud of up to 3000 points within 5 m of each other, up to 1000 km from its origin, and one of the points."""
+    """A cloud of up to 3000 points within 10 km of each other, up to 1000 km from its origin, and one of the points."""
     shift = rng.standard_normal(3) * 10.0 ** rng.uniform(-1.0, 6.0)
-    points = rng.uniform(-5.0, 5.0, (rng.choice([1, 10, 1000, 1001, 3000]), 3)) + shift
-    return PointCloud(points, 10.0 ** rng.uniform(-4.0, -1.5)), points[0]
+    wide = 10.0 ** rng.uniform(-1.0, 4.0)
+    points = rng.uniform(-wide, wide, (rng.choice([1, 10, 1000, 1001, 3000]), 3)) + shift
+    return PointCloud(points, 10.0 ** rng.uniform(-9.0, -1.5)), points[0]
 
 
 def _map(rng: np.random.Generator) -> tuple[Shape, np.ndarray]:
