@@ -53,9 +53,12 @@ class Finding:
 
 
 def made(part: str, check: Check, trials: int) -> Finding:
-    """Make a check."""
+    """Make a check; what it cannot bear is a fault, and the next one is made."""
     began, worked = time.perf_counter(), _processor()
-    trial = check.attack(trials)
+    try:
+        trial = check.attack(trials)
+    except Exception as error:
+        trial = Trial(0, [f"ended by {type(error).__name__}: {' '.join(str(error).split())}"])
     return Finding(part, check, trial, time.perf_counter() - began, _processor() - worked)
 
 

@@ -42,12 +42,14 @@ class Edge:
     """When to give up."""
 
 
-def between(rng: Rng, scene: Scene = EMPTY, spread: float = 0.5) -> PlanningProblem:
-    """From one free configuration to another near by, both drawn."""
+def between(
+    rng: Rng, scene: Callable[[Rng], Scene] = lambda rng: EMPTY, spread: float = 0.5
+) -> PlanningProblem:
+    """From one free configuration to another near by, both drawn, as is the scene."""
     robot = panda()
     for _ in range(100):
         ends = np.clip(READY + rng.uniform(-spread, spread, (2, 7)), robot.lower, robot.upper)
-        problem = PlanningProblem("edge", robot, scene, ends[0], ends[1:])
+        problem = PlanningProblem("edge", robot, scene(rng), ends[0], ends[1:])
         if not problem.collision_checker(1e-3).in_collision_batch(ends).any():
             return problem
     raise AssertionError("no free configuration in a hundred")
@@ -83,7 +85,7 @@ def already_there(rng: Rng) -> PlanningProblem:
 def blocked(rng: Rng) -> PlanningProblem:
     """A peg beside the shoulder, which the first joint alone moves: a quarter turn hits it, however others stand."""
     peg = SceneObject("peg", Box((0.01, 0.01, 0.02)), pose((0.09, 0.0, 0.25)))
-    problem = between(rng, Scene("blocked", (peg,)), spread=0.1)
+    problem = between(rng, lambda rng: Scene("blocked", (peg,)), spread=0.1)
     quarter = problem.robot.random_configurations(rng, 200)
     quarter[:, 0] = np.pi / 2
     assert problem.collision_checker().in_collision_batch(quarter).all()
@@ -103,7 +105,7 @@ def narrow(width: float, rng: Rng) -> PlanningProblem:
     return replace(problem, constraint=(plane,), goals=problem.goals[:0], goal_region=region)
 
 
-def crowded(count: int, size: float, far: float, rng: Rng) -> PlanningProblem:
+def crowd(count: int, size: float, far: float, rng: Rng) -> Scene:
     """So many boxes and balls of one size [m], `far` [m] and up to 1 m more from the base."""
     objects = []
     for k in range(count):
@@ -112,7 +114,12 @@ def crowded(count: int, size: float, far: float, rng: Rng) -> PlanningProblem:
         inside = size / 2 * (np.sqrt(3.0) if k % 2 else 1.0)
         at = direction / np.linalg.norm(direction) * (far + inside + rng.uniform(0.0, 1.0))
         objects.append(SceneObject(f"o{k}", shape, pose(at, rng.uniform(-3.0, 3.0))))
-    return between(rng, Scene("crowded", tuple(objects)))
+    return Scene("crowded", tuple(objects))
+
+
+def crowded(count: int, size: float, far: float, rng: Rng) -> PlanningProblem:
+    """Among the obstacles of `crowd`."""
+    return between(rng, partial(crowd, count, size, far))
 
 
 def denormal(rng: Rng) -> PlanningProblem:

@@ -1,6 +1,9 @@
 """The latest figures of the attack, kept in a page of the documentation between two marks."""
 
-from collections.abc import Iterable
+import fcntl
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
 
@@ -20,15 +23,27 @@ def record(page: Path, findings: Iterable[Finding], form: str, today: date) -> N
     InvalidInputError
         When the page cannot be read or written, or has not the two marks.
     """
-    text = read_text(page)
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise InvalidInputError(f"{page} must hold, once each: {BEGIN} ... {END}")
-    before, rest = text.split(BEGIN)
-    inside, after = rest.split(END)
-    rows = {_key(line): line for line in inside.strip().splitlines()[2:]}
-    rows |= {_key(line): line for line in (_row(finding, form, today) for finding in findings)}
-    table = "\n".join((HEAD, *(rows[key] for key in sorted(rows))))
-    write_text(page, f"{before}{BEGIN}\n{table}\n{END}{after}")
+    with _alone(page):
+        text = read_text(page)
+        if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
+            raise InvalidInputError(f"{page} must hold, once each: {BEGIN} ... {END}")
+        before, rest = text.split(BEGIN)
+        inside, after = rest.split(END)
+        rows = {_key(line): line for line in inside.strip().splitlines()[2:]}
+        rows |= {_key(line): line for line in (_row(finding, form, today) for finding in findings)}
+        table = "\n".join((HEAD, *(rows[key] for key in sorted(rows))))
+        write_text(page, f"{before}{BEGIN}\n{table}\n{END}{after}")
+
+
+@contextmanager
+def _alone(page: Path) -> Iterator[None]:
+    """While no other process records in the page's folder; not by the page, which is replaced."""
+    folder = os.open(page.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
 
 
 def _row(finding: Finding, form: str, today: date) -> str:

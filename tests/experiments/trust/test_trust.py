@@ -56,13 +56,14 @@ def test_the_command_counts_prints_and_fails_on_a_fault(monkeypatch, capsys, tmp
     checks = (
         finding("holds", 3).check,
         Check("breaks", "inputs", 2, 4, lambda count: Trial(count, ["seed 1: no"])),
+        Check("ends", "inputs", 2, 4, lambda count: Trial(count // 0, ())),
     )
     monkeypatch.setattr("cli.trust_command.checks_of", lambda part: checks)
     assert main(["trust", "files", "--only", "holds"]) == 0
     assert main(["trust", "files", "--long"]) == 1
     assert main(["trust", "files", "--only", "holds", "--trials", "9"]) == 0
     out = capsys.readouterr().out
-    assert "holds: 9 inputs, no fault" in out
+    assert "holds: 9 inputs, no fault" in out and "ended by ZeroDivisionError" in out
     assert (
         "breaks: 4 inputs, 1 faults" in out and "  seed 1: no" in out and "holds: 2 inputs, no fault" in out
     )
