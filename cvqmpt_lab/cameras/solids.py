@@ -145,8 +145,12 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 def _between_planes(eye: np.ndarray, rays: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Interval of each ray (..., d) in which every coordinate lies between -half and half (d,)."""
-    one, other = (-half - eye) / rays, (half - eye) / rays
-    return np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+    enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
+    for low, high, along in zip(-half - eye, half - eye, np.moveaxis(rays, -1, 0), strict=True):
+        one, other = low / along, high / along
+        np.maximum(enter, np.minimum(one, other), out=enter)
+        np.minimum(leave, np.maximum(one, other), out=leave)
+    return enter, leave
 
 
 def _within_radius(eye: np.ndarray, rays: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
