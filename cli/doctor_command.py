@@ -119,18 +119,18 @@ def _weights() -> Iterator[Finding]:
 
 def _kernels() -> Finding:
     try:
-        from cvqmpt_lab.kernels.compiling import CACHE_FOLDER, compiled_before
+        from cvqmpt_lab.kernels.objects import compiled_before, folder
     except ImportError as error:
         return Finding(
             "kernels", f"numba cannot be used: {error}", "pip install --force-reinstall numba llvmlite"
         )
-    if CACHE_FOLDER is None:
+    if folder() is None:
         return Finding(
             "kernels", "no place to keep them", "set NUMBA_CACHE_DIR to a writable folder", needed=False
         )
     if not compiled_before():
-        return Finding("kernels", f"not compiled yet in {CACHE_FOLDER}", "cvqmpt warmup", needed=False)
-    return Finding("kernels", f"compiled in {CACHE_FOLDER}")
+        return Finding("kernels", f"not compiled yet in {folder()}", "cvqmpt warmup", needed=False)
+    return Finding("kernels", f"compiled in {folder()}")
 
 
 def _display() -> Finding:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import compiled_before
+from cvqmpt_lab.kernels.objects import compiled_before
 from cvqmpt_lab.kernels.search.tree_growth import plant, remove_child_of_segment
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.pipeline import with_sampled_goals

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import compiled_before
+from cvqmpt_lab.kernels.objects import GROUPS, compiled_before, make_ready
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -17,21 +17,20 @@ from experiments.suites.place_task import place_problem
 
 
 def compile_kernels(announce: Callable[[str], None]) -> float:
-    """Touch every kernel a planner may call, once; seconds it took.
+    """Compile every kernel and touch those that planners call; seconds it took.
 
-    The first time two processes share the work; what both need, such as making a problem, each compiles.
+    The first time two processes share the work.
 
-    announce: told beforehand when nothing is compiled yet, because that takes about a minute.
+    announce: told beforehand when something is not compiled yet, because that takes about a minute.
     """
     began = time.perf_counter()
-    if compiled_before():
-        _trees()
-    else:
+    if not compiled_before(tuple(GROUPS)):
         announce("compiling kernels, about a minute, once per machine and version ...")
         with ProcessPoolExecutor(1, get_context("spawn")) as helper:
-            others = helper.submit(_others)
-            _trees()
+            others = helper.submit(make_ready, [group for group in GROUPS if group != "plan"])
+            make_ready(("plan",))
             others.result()
+    _trees()
     _others()
     return time.perf_counter() - began
 

@@ -12,15 +12,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
 DATA = ("*.py", "weights/*/*", "schemas/*.json", "published/*.csv")
-LOCATOR = f"""from numba.core.caching import UserProvidedCacheLocator
-
-class OfTheTree(UserProvidedCacheLocator):
-    \"\"\"Machine code that the tree's equal kernels were compiled to: compiling them anew takes a minute.\"\"\"
-
-    @classmethod
-    def from_function(cls, function, path):
-        return super().from_function(function, path.replace(__file__[:-len('locator.py')], {str(ROOT)!r} + "/"))
-"""
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +53,8 @@ def test_it_holds_every_module_and_all_data(site):
 
 
 def test_it_plans_from_an_empty_folder(site, tmp_path):
-    (site / "locator.py").write_text(LOCATOR)
     words = ["plan", "place-task", "--problem", "7", "--planner", "roadmap-cvq", "--iterations", "2000"]
-    environment = os.environ | {"PYTHONPATH": str(site), "NUMBA_CACHE_LOCATOR_CLASSES": "locator.OfTheTree"}
+    environment = os.environ | {"PYTHONPATH": str(site)}
     done = subprocess.run(
         [sys.executable, site / "bin" / "cvqmpt", *words],
         cwd=tmp_path, env=environment, capture_output=True, text=True,

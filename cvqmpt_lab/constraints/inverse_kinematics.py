@@ -44,8 +44,8 @@ def _solved(
     robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion]
 ) -> list[np.ndarray]:
     """The same from first guesses (k, attempts, n), which it overwrites."""
-    regions = pose_regions(robot, within)
-    reached = reach_poses(
+    regions, reached = pose_regions(robot, within), np.empty(guesses.shape[:2], dtype=np.int64)
+    reach_poses(
         robot.kinematics,
         regions,
         np.ascontiguousarray(poses[:, :3, :3]),
@@ -54,6 +54,7 @@ def _solved(
         TOLERANCE,
         MAX_ITERATIONS,
         projection_scratch(robot.dof, regions),
+        reached,
     )
     return [rows[iterations >= 0] for rows, iterations in zip(guesses, reached, strict=True)]
 

@@ -158,8 +158,13 @@ class RegionConstraint:
 
     def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Both, (m,) and (m, n) or (b, m) and (b, m, n)."""
-        batch = np.array(q, dtype=float, order="C", ndmin=2)  # writable: one type, compiled once
-        residual, jacobian = batch_residual_and_jacobian(self.robot.kinematics, self.regions, batch, full)
+        batch = np.array(q, dtype=float, order="C", ndmin=2)
+        n, regions = self.robot.dof, self.regions
+        scratch = projection_scratch(n, regions)
+        work = scratch.link_rotation, scratch.link_translation, scratch.displacement
+        residual = np.zeros((len(batch), len(regions.axis)))
+        jacobian = np.zeros((*residual.shape, n))
+        batch_residual_and_jacobian(self.robot.kinematics, regions, batch, full, *work, residual, jacobian)
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
 
     def project(

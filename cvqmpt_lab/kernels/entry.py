@@ -3,8 +3,8 @@
 A kernel that Python calls is marked `entry`. Its annotations say what each array must look like, for example
 ``Annotated[np.ndarray, "m n"]`` (float64) or ``Annotated[np.ndarray, "int64 2 capacity"]``; a bundle of arrays
 says so at its own fields. A letter stands for one number throughout a call (n joints), a word for one among the
-arguments or the fields of one bundle. Inside other kernels an entry is the bare kernel: the gate costs some
-microseconds a call from Python, and nothing per state.
+arguments or the fields of one bundle. Numbers are annotated `float`, `int` or `bool`. Inside other kernels an entry is
+the bare kernel: the gate costs some microseconds a call from Python, and nothing per state.
 """
 
 import functools
@@ -15,6 +15,8 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.compiling import Kernel
+from cvqmpt_lab.kernels.objects import function
 
 DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")}
 
@@ -38,26 +40,46 @@ class _Bundle(NamedTuple):
     members: tuple["_Array | _Bundle", ...]
 
 
-def entry(function: Callable) -> "Entry":
+def entry(kernel: Kernel) -> "Entry":
     """Check the arrays of a kernel whenever Python calls it; see the module."""
-    return Entry(function)
+    return Entry(kernel)
 
 
 class Entry:
     """A kernel behind its gate; arguments are given by position."""
 
-    def __init__(self, compiled: Any) -> None:
-        self.compiled = compiled
-        self._numba_type_ = compiled._numba_type_  # to compiled callers this is the kernel itself
-        hints = get_type_hints(compiled.py_func, include_extras=True)
-        names = list(inspect.signature(compiled.py_func).parameters)
-        self._expected = _expected({name: hints[name] for name in names if name in hints}, names, deep=False)
-        functools.update_wrapper(self, compiled.py_func)
+    def __init__(self, kernel: Kernel) -> None:
+        self.kernel = kernel
+        functools.update_wrapper(self, kernel.py_func)
+        self.name = kernel.py_func.__name__
+        self.symbol = f"{kernel.py_func.__module__}.{self.name}"
+        self.names = tuple(inspect.signature(kernel.py_func).parameters)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self.kernel._numba_type_  # to compiled callers this is the kernel itself
+
+    @functools.cached_property
+    def _expected(self) -> tuple["_Array | _Bundle", ...]:
+        hints = get_type_hints(self.kernel.py_func, include_extras=True)
+        return _expected({name: hints[name] for name in self.names}, list(self.names), deep=False)
+
+    @functools.cached_property
+    def _native(self) -> Callable[[tuple], Any]:
+        return function(self)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the kernel, or raise InvalidInputError that names the array at fault."""
-        _check(arguments, self._expected, {}, self.compiled.__name__)
-        return self.compiled(*arguments)
+        if len(arguments) != len(self.names):
+            raise TypeError(
+                f"{self.name} takes {', '.join(self.names)}; {len(arguments)} arguments were given"
+            )
+        _check(arguments, self._expected, {}, self.name)
+        return self._native(arguments)
+
+    def unchecked(self, *arguments: Any) -> Any:
+        """The same for a caller that has checked the shapes: bundles cost the gate some ten microseconds a call."""
+        return self._native(arguments)
 
 
 def check_bundle(bundle: NamedTuple) -> None:
@@ -78,13 +100,17 @@ def _expected(
     for name, hint in hints.items():
         place = names.index(name)
         if hasattr(hint, "__metadata__"):
-            words = hint.__metadata__[0].split()
-            dtype = DTYPES[words.pop(0)] if words[0] in DTYPES else DTYPES["float64"]
-            shape = tuple(int(word) if word.isdigit() else word for word in words)
-            found.append(_Array(place, name, dtype, shape))
+            found.append(array_of(hint, place, name))
         elif hasattr(hint, "_fields") and (deep or not nested):
             found.append(_Bundle(place, name, _members(hint, deep)))
     return tuple(found)
+
+
+def array_of(hint: Any, place: int = 0, name: str = "") -> _Array:
+    """What an array's annotation says."""
+    words = hint.__metadata__[0].split()
+    dtype = DTYPES[words.pop(0)] if words[0] in DTYPES else DTYPES["float64"]
+    return _Array(place, name, dtype, tuple(int(word) if word.isdigit() else word for word in words))
 
 
 def _check(values: tuple, expected: tuple[_Array | _Bundle, ...], sizes: dict[str, int], where: str) -> None:

@@ -9,8 +9,50 @@ from cvqmpt_lab.kernels.entry import entry
 
 
 @entry
-@kernel(allocates=True)
-def neighbourhoods(points: Annotated[np.ndarray, "float32 m 3"], count, most, radius2):
+@kernel
+def write_neighbourhoods(
+    axes: Annotated[np.ndarray, "float32 3 m"],
+    radius2: Annotated[np.ndarray, "float32 1"],
+    distance: Annotated[np.ndarray, "float32 m"],
+    nearest: Annotated[np.ndarray, "float32 m"],
+    chosen: Annotated[np.ndarray, "int64 count"],
+    near: Annotated[np.ndarray, "int64 count most"],
+):
+    """Write what `neighbourhoods` returns; axes: coordinates of points, distance and nearest: work arrays."""
+    m, count, most = axes.shape[1], chosen.shape[0], near.shape[1]
+    x, y, z = axes[0], axes[1], axes[2]
+    for j in range(m):
+        nearest[j] = np.inf
+    chosen[0] = 0
+    for k in range(count):
+        i = chosen[k]
+        cx, cy, cz = x[i], y[i], z[i]
+        for j in range(m):
+            dx, dy, dz = x[j] - cx, y[j] - cy, z[j] - cz
+            distance[j] = dx * dx + dy * dy + dz * dz
+        found = 0
+        for j in range(m):
+            if distance[j] < radius2[0]:
+                near[k, found] = j
+                found += 1
+                if found == most:
+                    break
+        for j in range(found, most):
+            near[k, j] = near[k, 0]
+        if k + 1 == count:
+            break
+        farthest, place = np.float32(-1.0), 0
+        for j in range(m):
+            nearest[j] = min(nearest[j], distance[j])
+        for j in range(m):
+            if nearest[j] > farthest:
+                farthest, place = nearest[j], j
+        chosen[k + 1] = place
+
+
+def neighbourhoods(
+    points: np.ndarray, count: int, most: int, radius2: np.float32
+) -> tuple[np.ndarray, np.ndarray]:
     """Choose points, each the farthest from those before it, and find the neighbours of each.
 
     Parameters
@@ -24,31 +66,8 @@ def neighbourhoods(points: Annotated[np.ndarray, "float32 m 3"], count, most, ra
     -------
     chosen (count,) int64, and neighbours (count, most) int64, filled up with the first of each.
     """
-    m = points.shape[0]
-    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
-    distance, nearest = np.empty(m, dtype=np.float32), np.full(m, np.inf, dtype=np.float32)
-    chosen, near = np.zeros(count, dtype=np.int64), np.empty((count, most), dtype=np.int64)
-    for k in range(count):
-        i = chosen[k]
-        cx, cy, cz = x[i], y[i], z[i]
-        for j in range(m):
-            dx, dy, dz = x[j] - cx, y[j] - cy, z[j] - cz
-            distance[j] = dx * dx + dy * dy + dz * dz
-        found = 0
-        for j in range(m):
-            if distance[j] < radius2:
-                near[k, found] = j
-                found += 1
-                if found == most:
-                    break
-        near[k, found:] = near[k, 0]
-        if k + 1 == count:
-            break
-        farthest, place = np.float32(-1.0), 0
-        for j in range(m):
-            nearest[j] = min(nearest[j], distance[j])
-        for j in range(m):
-            if nearest[j] > farthest:
-                farthest, place = nearest[j], j
-        chosen[k + 1] = place
+    m = len(points)
+    chosen, near = np.empty(count, dtype=np.int64), np.empty((count, most), dtype=np.int64)
+    work = np.empty(m, dtype=np.float32), np.empty(m, dtype=np.float32)
+    write_neighbourhoods(np.ascontiguousarray(points.T), np.array([radius2]), *work, chosen, near)
     return chosen, near

@@ -55,7 +55,9 @@ class Eyes:
         if anew or key not in self._seen:
             distance = np.empty_like(self.blank.distance)
             points = np.array(cloud, dtype=float, order="C")  # read-only arrays would be compiled for anew
-            fill_distances(points, LOWER, CELL, np.empty(distance.shape), distance)
+            fill_distances(
+                points, LOWER, CELL, np.empty((2, 3), np.int64), np.empty(distance.shape), distance
+            )
             self._seen[key] = self.blank._replace(distance=distance)
             if len(self._seen) > CLOUDS:
                 self._seen.popitem(last=False)

@@ -11,7 +11,7 @@ from cvqmpt_lab.kernels.entry import check_bundle
 from cvqmpt_lab.kernels.manifold.projection import projection_scratch
 from cvqmpt_lab.kernels.search import space_arrays as kernels
 from cvqmpt_lab.kernels.search.motion import refine_and_check
-from cvqmpt_lab.kernels.search.single_state import BoundSpace, bind, constraint_one, project_one, valid_one
+from cvqmpt_lab.kernels.search.single_state import constraint_one, project_one, valid_one
 from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.result import Counters, JointPath
 from cvqmpt_lab.problem import PlanningProblem
@@ -65,7 +65,6 @@ class ConstrainedSpace:
         self.arrays = _arrays(problem, settings, exact is not None, self._check.address, query)
         check_bundle(self.arrays)
         self._shape = (problem.robot.dof,)
-        self._bound: BoundSpace | None = None
         self.doubtful = self._find_doubtful()
 
     def _find_doubtful(self) -> tuple[str, ...]:
@@ -79,7 +78,6 @@ class ConstrainedSpace:
         self._check, query = _callback(checker, self.robot.dof)
         near = np.array(list(doubtful.values())).reshape(-1, self.robot.dof)
         self.arrays = self.arrays._replace(check=self._check.address, query=query, doubtful=near)
-        self._bound = None
         return tuple(doubtful)
 
     @property
@@ -104,13 +102,6 @@ class ConstrainedSpace:
         return free
 
     @property
-    def bound(self) -> BoundSpace:
-        """The arrays as one handle, for per-state calls."""
-        if self._bound is None:
-            self._bound = bind(self.arrays)
-        return self._bound
-
-    @property
     def dim(self) -> int:
         """Number m of bounded rows of the constraint."""
         return len(self.arrays.regions.axis)
@@ -118,12 +109,12 @@ class ConstrainedSpace:
     def project(self, q: np.ndarray) -> bool:
         """Project q (n,) in place onto the manifold, inside the limits; True on success."""
         self._require_configuration(q)
-        return project_one(self.bound, q)
+        return project_one.unchecked(self.arrays, q)
 
     def valid(self, q: np.ndarray) -> bool:
         """Whether q (n,) is free of collision."""
         self._require_configuration(q)
-        answer = valid_one(self.bound, q if q.flags.writeable else q.copy())  # one type, compiled once
+        answer = valid_one.unchecked(self.arrays, q)
         self.reraise()
         return answer
 
@@ -138,7 +129,7 @@ class ConstrainedSpace:
         """F(q) (m,) and dF/dq (m, n)."""
         self._require_configuration(q)
         residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
-        constraint_one(self.bound, q, full, residual, jacobian)
+        constraint_one.unchecked(self.arrays, q, full, residual, jacobian)
         return residual, jacobian
 
     def _require_configuration(self, q: np.ndarray) -> None:

@@ -14,7 +14,7 @@ from cvqmpt_lab.files import cache_folder, make_folder, replacing
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, robot_geometry
 from cvqmpt_lab.kernels.collision.separation import ConvexShapes
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
-from cvqmpt_lab.kernels.compiling import SOURCES
+from cvqmpt_lab.kernels.objects import SOURCES
 
 PIECES = "pieces."
 """Before the names of the arrays of `RobotGeometry.pieces`."""

@@ -35,7 +35,7 @@ LONG_RUN = 2.0
 FIRST_RANDOM_SCENE = 700_000  # seeds of scenes that nothing else uses
 
 
-@kernel(allocates=True)
+@kernel
 def _poses_of_all(kinematics, configurations, link_rotation, link_translation):
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], link_rotation, link_translation)
@@ -48,15 +48,15 @@ def bench_kernels() -> list[Figure]:
     rng = np.random.default_rng(0)
     uniform = robot.random_configurations(rng, STATES)
     regions = constraint.regions
-    scratch = projection_scratch(robot.dof, regions)
+    scratch, iterations = projection_scratch(robot.dof, regions), np.empty(STATES, dtype=np.int64)
 
     def project(configurations: np.ndarray) -> Callable[[], object]:
         return lambda: project_batch(
-            robot.kinematics, regions, configurations.copy(), TOLERANCE, MAX_ITERATIONS, scratch
+            robot.kinematics, regions, configurations.copy(), TOLERANCE, MAX_ITERATIONS, scratch, iterations
         )
 
     on_manifold = uniform.copy()
-    project_batch(robot.kinematics, regions, on_manifold, TOLERANCE, MAX_ITERATIONS, scratch)
+    project_batch(robot.kinematics, regions, on_manifold, TOLERANCE, MAX_ITERATIONS, scratch, iterations)
     near = on_manifold + rng.normal(0.0, 0.05 / np.sqrt(robot.dof), on_manifold.shape)
     poses = (np.zeros((robot.dof + 1, 3, 3)), np.zeros((robot.dof + 1, 3)))
     batch = uniform[:10_000]

@@ -46,7 +46,7 @@ def spread(name: str, values: np.ndarray, unit: str) -> Figure:
     return Figure(name, float(median), float(low), float(high), unit)
 
 
-@kernel(allocates=True)
+@kernel
 def _calibration_loop(n):
     total = 0.0
     for i in range(n):

@@ -23,7 +23,7 @@ class Pair(NamedTuple):
 
 @entry
 @kernel
-def first_entry(pair: Pair, q: Annotated[np.ndarray, "n"], factor):
+def first_entry(pair: Pair, q: Annotated[np.ndarray, "n"], factor: float):
     return factor * pair.nodes[0, 0] + q[0]
 
 

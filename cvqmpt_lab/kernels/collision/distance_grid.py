@@ -5,42 +5,43 @@ rounded down to a byte. Each block of 2^3 cells also lists the obstacles within 
 the bound does not clear.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.kernels.collision.grid_filling import COARSE, RANGE, STEP, fill, work_arrays
+from cvqmpt_lab.kernels.collision.grid_filling import (
+    COARSE,
+    LISTS,
+    RANGE,
+    STEP,
+    DistanceGrid,
+    Work,
+    fill_blocks,
+)
 from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 
+ROOM = 1024  # items of lists, to begin with
 REACH = 0.13  # [m] largest ball whose neighbours are listed
 
 # Columns of an obstacle's bounds: an oriented box swelled by a radius.
 ROTATION, CENTRE, HALF, SWELLING, COLUMNS = 0, 9, 12, 15, 16
 
 
-class DistanceGrid(NamedTuple):
-    """Lower bounds of distances, and lists of the obstacles nearby; see the module's docstring."""
-
-    origin: Annotated[np.ndarray, "3"]
-    """Corner of the grid [m]."""
-    cell: float
-    """Edge of a cell [m]."""
-    cells_per_metre: float
-    """Its inverse [1/m]."""
-    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
-    """In units of RANGE / 255."""
-    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
-    """Where the list of a block of 2^3 cells begins in `items`."""
-    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]
-    """How long it is."""
-    items: Annotated[np.ndarray, "int32 listed"]
-    """Obstacle indices."""
-
-
-@kernel(allocates=True)
-def _assign(bounds, origin, edge, blocks, starts, items, fill):
-    """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block."""
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+@entry
+@kernel
+def assign(
+    bounds: Annotated[np.ndarray, "count 16"],
+    origin: Annotated[np.ndarray, "3"],
+    edge: float,
+    blocks: Annotated[np.ndarray, "int64 3"],
+    span: Annotated[np.ndarray, "int64 2 3"],
+    starts: Annotated[np.ndarray, "int64 all"],
+    items: Annotated[np.ndarray, "int32 listed"],
+    fill: bool,
+):
+    """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block; span: work array."""
+    low, high = span[0], span[1]
     for i in range(bounds.shape[0]):
         for a in range(3):
             extent = RANGE + bounds[i, 15]
@@ -67,12 +68,13 @@ def distance_grid(
     origin = np.asarray(lower, dtype=float).copy()
     blocks = np.maximum(np.ceil((np.asarray(upper) - origin) / edge - 1e-9).astype(np.int64), 1)
     starts = np.zeros(int(blocks.prod()) + 1, dtype=np.int64)
-    _assign(bounds, origin, edge, blocks, starts[1:], np.empty(0, dtype=np.int32), False)
+    span = np.empty((2, 3), dtype=np.int64)
+    assign(bounds, origin, edge, blocks, span, starts[1:], np.empty(0, dtype=np.int32), False)
     starts = np.cumsum(starts)
     block_items = np.empty(starts[-1], dtype=np.int32)
-    _assign(bounds, origin, edge, blocks, starts[:-1].copy(), block_items, True)
+    assign(bounds, origin, edge, blocks, span, starts[:-1].copy(), block_items, True)
     pairs = tuple(COARSE // 2 * blocks)
-    work = work_arrays(int(np.diff(starts).max()))
+    work = _work_arrays(int(np.diff(starts).max()))
     grid = DistanceGrid(
         origin,
         float(cell),
@@ -82,7 +84,42 @@ def distance_grid(
         np.zeros(pairs, dtype=np.int32),
         np.empty(0, dtype=np.int32),
     )
-    return grid._replace(items=fill(bounds, grid, starts, block_items, reach, work))
+    return _fill(bounds, grid, starts, block_items, reach, work)
+
+
+def _fill(
+    bounds: np.ndarray,
+    grid: DistanceGrid,
+    block_start: np.ndarray,
+    block_items: np.ndarray,
+    reach: float,
+    work: Work,
+) -> DistanceGrid:
+    """Return the grid with its distances and lists filled, as `fill_blocks` does; grid: without items."""
+    grid, block, used = grid._replace(items=np.empty(ROOM, dtype=np.int32)), 0, 0
+    while block < len(block_start) - 1:
+        block, used = fill_blocks(bounds, grid, block_start, block_items, reach, work, block, used)
+        if block < len(block_start) - 1:
+            more = max(len(grid.items), work.listed.size)
+            grid = grid._replace(items=np.concatenate([grid.items, np.empty(more, dtype=np.int32)]))
+    return grid._replace(items=grid.items[:used].copy())
+
+
+def _work_arrays(most: int) -> Work:
+    """Return room for `fill_blocks`, where at most so many obstacles are near one block."""
+    plane = COARSE * COARSE
+    return Work(
+        corner=np.empty(3),
+        gaps=np.empty((3, COARSE)),
+        yz=np.empty(plane),
+        best2=np.empty((COARSE, plane)),
+        best=np.empty((COARSE, plane)),
+        upper=np.empty(LISTS),
+        counts=np.empty(LISTS, dtype=np.int64),
+        listed=np.empty((LISTS, most), dtype=np.int32),
+        near=np.empty(most),
+        kept=np.empty(most, dtype=np.int32),
+    )
 
 
 @kernel(inline="machine")

@@ -5,11 +5,12 @@ from a box along the axes are sums of one term an axis, 24 in all, so that the 5
 comparison each. Turned boxes are measured cell by cell, where they can be nearest.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 
 RANGE = 0.3  # [m] distances are cut off here
 STEP = RANGE / 255.0  # [m] of a stored byte
@@ -19,6 +20,25 @@ LISTS = SIDE**3  # in all
 BETWEEN = 16  # obstacles, a block's distances are looked at for what can still lower them
 _ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
 _HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
+
+
+class DistanceGrid(NamedTuple):
+    """Lower bounds of distances, and lists of the obstacles nearby; see `distance_grid`."""
+
+    origin: Annotated[np.ndarray, "3"]
+    """Corner of the grid [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+    cells_per_metre: float
+    """Its inverse [1/m]."""
+    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
+    """In units of RANGE / 255."""
+    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
+    """Where the list of a block of 2^3 cells begins in `items`."""
+    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]
+    """How long it is."""
+    items: Annotated[np.ndarray, "int32 listed"]
+    """Obstacle indices."""
 
 
 @kernel(inline="machine")
@@ -168,35 +188,29 @@ def _store(grid, bx, by, bz, best2, best):
                 grid.distance[COARSE * bx + cx, COARSE * by + cy, COARSE * bz + cz] = stored
 
 
-@kernel(allocates=True)
-def _with_room(items, needed):
-    """Return items, copied into a longer array if it is shorter than needed."""
-    if needed <= items.shape[0]:
-        return items
-    longer = np.empty(2 * needed, np.int32)
-    longer[: items.shape[0]] = items
-    return longer
-
-
-class _Work(NamedTuple):
+class Work(NamedTuple):
     """Arrays that are used anew for every block."""
 
-    corner: np.ndarray
-    """(3,) of the block [m]."""
-    gaps: np.ndarray
-    """(3, COARSE) squared distances of a box from the block's cells along each axis [m^2]."""
-    yz: np.ndarray
-    """(COARSE^2,) sums of those along y and z."""
-    best2: np.ndarray
-    """(COARSE, COARSE^2) squared distances of the cells [m^2], and ..."""
-    best: np.ndarray
+    corner: Annotated[np.ndarray, "3"]
+    """Of the block [m]."""
+    gaps: Annotated[np.ndarray, "3 8"]
+    """Squared distances of a box from the block's COARSE cells along each axis [m^2]."""
+    yz: Annotated[np.ndarray, "64"]
+    """Sums of those along y and z."""
+    best2: Annotated[np.ndarray, "8 64"]
+    """Squared distances of the cells [m^2], and ..."""
+    best: Annotated[np.ndarray, "8 64"]
     """... distances [m]; the smaller counts."""
-    upper: np.ndarray
-    """(LISTS,) bound on what the cells of each list block have nearest [m]."""
-    counts: np.ndarray
-    """(LISTS,) int64, how many obstacles each list holds."""
-    listed: np.ndarray
-    """(LISTS, most) int32, those."""
+    upper: Annotated[np.ndarray, "64"]
+    """Bound on what the cells of each of LISTS list blocks have nearest [m]."""
+    counts: Annotated[np.ndarray, "int64 64"]
+    """How many obstacles each list holds."""
+    listed: Annotated[np.ndarray, "int32 64 most"]
+    """Those."""
+    near: Annotated[np.ndarray, "most"]
+    """Distances of obstacles from the block [m]."""
+    kept: Annotated[np.ndarray, "int32 most"]
+    """Obstacles that matter to it."""
 
 
 @kernel
@@ -214,14 +228,27 @@ def _add_all(bounds, grid, kept, near, n, reach, work):
             farthest = _farthest(work.best2, work.best)
 
 
-@kernel(allocates=True)
-def fill(bounds, grid, block_start, block_items, reach, work):
-    """Fill distances and lists; return the items of the lists."""
+@entry
+@kernel
+def fill_blocks(
+    bounds: Annotated[np.ndarray, "count 16"],
+    grid: DistanceGrid,
+    block_start: Annotated[np.ndarray, "int64 blocks"],
+    block_items: Annotated[np.ndarray, "int32 listed"],
+    reach: float,
+    work: Work,
+    first: int,
+    used: int,
+):
+    """Fill distances and lists of blocks from the first on, as far as there is room for the items of the lists.
+
+    Returns
+    -------
+    The block to go on with, and how many items are used.
+    """
     blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
-    most = work.listed.shape[1]
-    near, kept = np.empty(most), np.empty(most, np.int32)
-    items, used = np.empty(1024, np.int32), 0
-    for block in range(block_start.shape[0] - 1):
+    near, kept, items = work.near, work.kept, grid.items
+    for block in range(first, block_start.shape[0] - 1):
         bz, by, bx = block % blocks_z, block // blocks_z % blocks_y, block // (blocks_z * blocks_y)
         work.corner[0] = grid.origin[0] + COARSE * grid.cell * bx
         work.corner[1] = grid.origin[1] + COARSE * grid.cell * by
@@ -235,26 +262,13 @@ def fill(bounds, grid, block_start, block_items, reach, work):
         listed = 0
         for s in range(LISTS):  # work.counts.sum() would import scipy.linalg wherever this is loaded
             listed += work.counts[s]
-        items = _with_room(items, used + listed)
+        if used + listed > items.shape[0]:
+            return block, used
         for s in range(LISTS):
             count = work.counts[s]
             lx, ly, lz = SIDE * bx + (s >> 4), SIDE * by + (s >> 2 & 3), SIDE * bz + (s & 3)
             grid.list_start[lx, ly, lz], grid.list_count[lx, ly, lz] = used, count
-            items[used : used + count] = work.listed[s, :count]
+            for k in range(count):
+                items[used + k] = work.listed[s, k]
             used += count
-    return items[:used].copy()
-
-
-def work_arrays(most: int) -> _Work:
-    """Return room for `fill`, where at most so many obstacles are near one block."""
-    plane = COARSE * COARSE
-    return _Work(
-        corner=np.empty(3),
-        gaps=np.empty((3, COARSE)),
-        yz=np.empty(plane),
-        best2=np.empty((COARSE, plane)),
-        best=np.empty((COARSE, plane)),
-        upper=np.empty(LISTS),
-        counts=np.empty(LISTS, dtype=np.int64),
-        listed=np.empty((LISTS, most), dtype=np.int32),
-    )
+    return block_start.shape[0] - 1, used

@@ -6,11 +6,12 @@ Runs once per robot.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.entry import entry
 
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
 MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS
@@ -41,13 +42,16 @@ class SphereTree(NamedTuple):
     """(k,) int64 number of the piece inside the ball, -1 for inner nodes."""
 
 
-@kernel(allocates=True)
-def enclosing_sphere(points, rounds=200):
-    """Return centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
-
-    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: step towards the farthest point, ever less.
-    """
-    centre, best, smallest = np.empty(3), np.empty(3), np.inf
+@entry
+@kernel
+def shrink_sphere(
+    points: Annotated[np.ndarray, "k 3"],
+    rounds: int,
+    centre: Annotated[np.ndarray, "3"],
+    best: Annotated[np.ndarray, "3"],
+):
+    """Write the centre of what `enclosing_sphere` returns into best, return its radius; centre: work array."""
+    smallest = np.inf
     for a in range(3):
         centre[a] = 0.5 * (points[0, a] + points[points.shape[0] - 1, a])
     for i in range(1, rounds + 1):
@@ -63,7 +67,17 @@ def enclosing_sphere(points, rounds=200):
                 best[a] = centre[a]
             centre[a] += (points[far, a] - centre[a]) / (i + 1)
         smallest = min(smallest, most)
-    return best, np.sqrt(smallest) + SLACK
+    return np.sqrt(smallest) + SLACK
+
+
+def enclosing_sphere(points: np.ndarray, rounds: int = 200) -> tuple[np.ndarray, float]:
+    """Return centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
+
+    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: step towards the farthest point, ever less.
+    """
+    centre = np.empty(3)
+    radius = shrink_sphere(np.ascontiguousarray(points), rounds, np.empty(3), centre)
+    return centre, radius
 
 
 class Hull(NamedTuple):

@@ -70,8 +70,19 @@ def forward_kinematics(kinematics, q, link_rotation, link_translation):
 
 
 @entry
-@kernel(allocates=True)
-def link_poses(kinematics: Kinematics, configurations: Annotated[np.ndarray, "count n"]):
+@kernel
+def write_link_poses(
+    kinematics: Kinematics,
+    configurations: Annotated[np.ndarray, "count n"],
+    rotations: Annotated[np.ndarray, "count rows 3 3"],
+    translations: Annotated[np.ndarray, "count rows 3"],
+):
+    """Write what `link_poses` returns."""
+    for i in range(configurations.shape[0]):
+        forward_kinematics(kinematics, configurations[i], rotations[i], translations[i])
+
+
+def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of all joint frames for many configurations.
 
     Parameters
@@ -82,9 +93,7 @@ def link_poses(kinematics: Kinematics, configurations: Annotated[np.ndarray, "co
     -------
     rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
     """
-    m, n = configurations.shape
-    rotations = np.empty((m, n + 1, 3, 3))
-    translations = np.empty((m, n + 1, 3))
-    for i in range(m):
-        forward_kinematics(kinematics, configurations[i], rotations[i], translations[i])
+    m, rows = len(configurations), len(kinematics.parent) + 1
+    rotations, translations = np.empty((m, rows, 3, 3)), np.empty((m, rows, 3))
+    write_link_poses(kinematics, configurations, rotations, translations)
     return rotations, translations

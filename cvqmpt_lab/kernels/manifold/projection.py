@@ -163,8 +163,8 @@ def project(
     kinematics: Kinematics,
     regions: Regions,
     q: Annotated[np.ndarray, "n"],
-    tolerance,
-    max_iterations,
+    tolerance: float,
+    max_iterations: int,
     scratch: ProjectionScratch,
 ):
     """Move q (n,) in place onto the manifold and inside the joint limits.
@@ -178,51 +178,45 @@ def project(
 
 
 @entry
-@kernel(allocates=True)
+@kernel
 def project_batch(
     kinematics: Kinematics,
     regions: Regions,
     configurations: Annotated[np.ndarray, "count n"],
-    tolerance,
-    max_iterations,
+    tolerance: float,
+    max_iterations: int,
     scratch: ProjectionScratch,
+    iterations: Annotated[np.ndarray, "int64 count"],
 ):
-    """Project every row of configurations (b, n) in place; returns iterations (b,), < 0 where it failed."""
-    iterations = np.empty(configurations.shape[0], np.int64)
+    """Project every row of configurations (b, n) in place; writes iterations (b,), < 0 where it failed."""
     for i in range(configurations.shape[0]):
         iterations[i] = project(kinematics, regions, configurations[i], tolerance, max_iterations, scratch)
-    return iterations
 
 
 @entry
-@kernel(allocates=True)
+@kernel
 def reach_poses(
     kinematics: Kinematics,
     regions: Regions,
     rotations: Annotated[np.ndarray, "count 3 3"],
     translations: Annotated[np.ndarray, "count 3"],
     configurations: Annotated[np.ndarray, "count attempts n"],
-    tolerance,
-    max_iterations,
+    tolerance: float,
+    max_iterations: int,
     scratch: ProjectionScratch,
+    iterations: Annotated[np.ndarray, "int64 count attempts"],
 ):
     """Project configurations (k, a, n) in place onto one pose each: `regions` with its reference frame put there.
 
     rotations, translations: (k, 3, 3) and (k, 3) [m], poses for the reference frame of the only region.
-
-    Returns
-    -------
-    Newton iterations (k, a), < 0 where a configuration did not get there.
+    iterations: (k, a), written: Newton's, < 0 where a configuration did not get there.
     """
-    k, a, _ = configurations.shape
-    iterations = np.empty((k, a), np.int64)
-    for i in range(k):
+    for i in range(configurations.shape[0]):
         for row in range(3):
             regions.reference_translation[0, row] = translations[i, row]
             for column in range(3):
                 regions.reference_rotation[0, row, column] = rotations[i, row, column]
-        for attempt in range(a):
+        for attempt in range(configurations.shape[1]):
             iterations[i, attempt] = project(
                 kinematics, regions, configurations[i, attempt], tolerance, max_iterations, scratch
             )
-    return iterations

@@ -218,18 +218,20 @@ def jacobian(kinematics, regions, link_rotation, link_translation, displacement,
 
 
 @entry
-@kernel(allocates=True)
+@kernel
 def batch_residual_and_jacobian(
-    kinematics: Kinematics, regions: Regions, configurations: Annotated[np.ndarray, "count n"], full
+    kinematics: Kinematics,
+    regions: Regions,
+    configurations: Annotated[np.ndarray, "count n"],
+    full: bool,
+    rotation: Annotated[np.ndarray, "p 3 3"],
+    translation: Annotated[np.ndarray, "p 3"],
+    displacement: Annotated[np.ndarray, "k 9"],
+    residuals: Annotated[np.ndarray, "count m"],
+    jacobians: Annotated[np.ndarray, "count m n"],
 ):
-    """Residuals (b, m) and Jacobians (b, m, n) of configurations (b, n)."""
-    b, n = configurations.shape
-    m = regions.region.shape[0]
-    rotation, translation = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
-    displacement = np.empty((regions.link.shape[0], 9))
-    residuals, jacobians = np.zeros((b, m)), np.zeros((b, m, n))
-    for i in range(b):
+    """Write residuals and Jacobians of configurations; rotation, translation, displacement: work arrays."""
+    for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotation, translation)
         residual(regions, rotation, translation, residuals[i], displacement)
         jacobian(kinematics, regions, rotation, translation, displacement, full, residuals[i], jacobians[i])
-    return residuals, jacobians

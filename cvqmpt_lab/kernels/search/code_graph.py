@@ -9,6 +9,7 @@ import numpy as np
 
 from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
 from cvqmpt_lab.kernels.search.heap import drop_smallest, push
 from cvqmpt_lab.kernels.search.motion import distance
 from cvqmpt_lab.kernels.search.sight import Sight, surprise
@@ -74,7 +75,7 @@ def _cost(length, price, weight, caution):
 @entry
 @kernel
 def judge_ends(
-    kinematics,
+    kinematics: Kinematics,
     sight: Sight,
     graph: CodeGraph,
     question: CodeQuestion,
@@ -127,7 +128,7 @@ def cost_to_go(graph: CodeGraph, question: CodeQuestion):
 def ways_on(
     graph: CodeGraph,
     question: CodeQuestion,
-    row,
+    row: int,
     target: Annotated[np.ndarray, "int32 room"],
     feature: Annotated[np.ndarray, "room 6"],
 ):

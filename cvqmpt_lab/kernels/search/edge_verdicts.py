@@ -18,7 +18,7 @@ def edge_verdicts(
     edges: Annotated[np.ndarray, "int32 edges 2"],
     node_free: Annotated[np.ndarray, "bool nodes"],
     edge_free: Annotated[np.ndarray, "bool edges"],
-    most_checks,
+    most_checks: int,
 ):
     """Write whether each node, and each straight motion between the two nodes of an edge, is free of collision.
 

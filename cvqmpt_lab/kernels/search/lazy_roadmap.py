@@ -63,7 +63,7 @@ class Roadmap(NamedTuple):
 @kernel
 def nearest_nodes(
     nodes: Annotated[np.ndarray, "rows n"],
-    count,
+    count: int,
     target: Annotated[np.ndarray, "n"],
     chosen: Annotated[np.ndarray, "int32 k"],
     squares: Annotated[np.ndarray, "k"],
@@ -91,7 +91,7 @@ def nearest_nodes(
 @kernel
 def link_query(
     roadmap: Roadmap,
-    direct,
+    direct: int,
     chosen: Annotated[np.ndarray, "int32 links"],
     squares: Annotated[np.ndarray, "links"],
 ):
@@ -224,9 +224,9 @@ def search(
     space: Space,
     roadmap: Roadmap,
     sight: Sight,
-    most_searches,
-    drift,
-    check,
+    most_searches: int,
+    drift: float,
+    check: bool,
     path: Annotated[np.ndarray, "int64 longest"],
     ends: Annotated[np.ndarray, "int64 longest"],
     states: Annotated[np.ndarray, "room n"],
@@ -273,8 +273,8 @@ def block_state(
     roadmap: Roadmap,
     path: Annotated[np.ndarray, "int64 longest"],
     ends: Annotated[np.ndarray, "int64 longest"],
-    length,
-    state,
+    length: int,
+    state: int,
 ):
     """Block the edge of the path last found that the motion behind one of its states belongs to.
 

@@ -66,7 +66,7 @@ def bisect_motion(
     space: Space,
     origin: Annotated[np.ndarray, "n"],
     target: Annotated[np.ndarray, "n"],
-    longest,
+    longest: float,
     out: Annotated[np.ndarray, "room n"],
 ):
     """Join origin and target on the manifold by projected midpoints, coarse to fine, so that failure is early.

@@ -73,7 +73,7 @@ def _shorter_motion(space, states, a, b, detour):
 def shortcut(
     space: Space,
     states: Annotated[np.ndarray, "capacity n"],
-    count,
+    count: int,
     picks: Annotated[np.ndarray, "tries 2"],
     detour: Annotated[np.ndarray, "room n"],
 ):

@@ -42,20 +42,21 @@ class Sight(NamedTuple):
 
 
 @entry
-@kernel(allocates=True)
+@kernel
 def fill_distances(
     points: Annotated[np.ndarray, "count 3"],
     origin: Annotated[np.ndarray, "3"],
-    cell,
+    cell: float,
+    span: Annotated[np.ndarray, "int64 2 3"],
     square: Annotated[np.ndarray, "x y z"],
     distance: Annotated[np.ndarray, "uint8 x y z"],
 ):
     """Write the distance of every cell's middle from the nearest of points, cut off at REACH.
 
-    square: squared distances, a work array.
+    span, square: work arrays, the cells around a point and squared distances.
     """
     square[:] = REACH * REACH
-    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    low, high = span[0], span[1]
     for i in range(points.shape[0]):
         for a in range(3):
             at = (points[i, a] - origin[a]) / cell - 0.5

@@ -9,13 +9,10 @@ from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.kernels.compiling import kernel, made_by_numba
 from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, project
@@ -54,16 +51,19 @@ class StateCheck:
             raise error
 
 
-@intrinsic
-def _call(typing_context, address):
+@made_by_numba
+def _call():
     """Call the C function ``bool f()`` at an address."""
+    from llvmlite import ir
+    from numba import types
+    from numba.extending import intrinsic
 
     def generate(context, builder, signature, arguments):
         function = ir.FunctionType(ir.IntType(8), [])
         pointer = builder.inttoptr(arguments[0], function.as_pointer())
         return builder.icmp_unsigned("!=", builder.call(pointer, []), ir.IntType(8)(0))
 
-    return types.boolean(types.int64), generate
+    return intrinsic(lambda typing_context, address: (types.boolean(types.int64), generate))
 
 
 class Space(NamedTuple):

@@ -95,7 +95,14 @@ def extend(space, nodes, parent, size, which, origin, target, reach):
 
 @entry
 @kernel
-def grow(space: Space, trees: Trees, samples: Annotated[np.ndarray, "count n"], first, extend_both, reach):
+def grow(
+    space: Space,
+    trees: Trees,
+    samples: Annotated[np.ndarray, "count n"],
+    first: int,
+    extend_both: bool,
+    reach: float,
+):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
     extend_both: Algorithm 3 as printed, both trees walk to the sample and are then connected;
@@ -187,7 +194,7 @@ def remove_subtree(trees, which, root):
 
 @entry
 @kernel
-def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 room 2"], segment):
+def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 room 2"], segment: int):
     """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
     later_in_start_tree = origin[segment + 1, 0] == 0
     if later_in_start_tree:

@@ -23,8 +23,8 @@ def move_code(
     graph: CodeGraph,
     question: CodeQuestion,
     state: Annotated[np.ndarray, "int8 nodes"],
-    i,
-    drift,
+    i: int,
+    drift: float,
 ):
     """Put code i on the manifold, unless it was; one that drifts further than drift [rad] is not used again."""
     if state[i] != UNKNOWN:
@@ -49,8 +49,8 @@ def walk(
     state: Annotated[np.ndarray, "int8 nodes"],
     standing: Annotated[np.ndarray, "int64 nodes"],
     codes: Annotated[np.ndarray, "int32 steps"],
-    goal,
-    drift,
+    goal: int,
+    drift: float,
     room: Annotated[np.ndarray, "room n"],
 ):
     """Walk from the start along codes to a goal, as far as the way is free.

@@ -32,7 +32,9 @@ def project_all(robot, regions, configurations):
     q = configurations.copy()
     arrays = stack_regions(robot, regions)
     scratch = projection_scratch(robot.dof, arrays)
-    return q, project_batch(robot.kinematics, arrays, q, TOLERANCE, MAX_ITERATIONS, scratch)
+    iterations = np.empty(len(q), dtype=np.int64)
+    project_batch(robot.kinematics, arrays, q, TOLERANCE, MAX_ITERATIONS, scratch, iterations)
+    return q, iterations
 
 
 @pytest.mark.parametrize("tilt", [0.1, 0.0])

@@ -1,0 +1,167 @@
+"""Machine code of entries: read from disk, where numba is not needed, or built by it and kept there.
+
+The entries of a group of modules are one object file, so that what they share, projection and state checks above
+all, is compiled once. Files lie in a folder named after the contents of all kernel sources; their names hold a digest
+of what else machine code depends on. NUMBA_CACHE_DIR chooses where that folder lies; without a writable place
+everything still works, compiled anew in each process.
+"""
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import os
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import cache_folder, write_bytes
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.kernels.entry import Entry
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "robot": ("collision.sphere_cover",),
+    "plan": (
+        "manifold.kinematics", "manifold.projection", "manifold.regions", "collision.distance_grid",
+        "collision.grid_filling", "search.reach", "search.single_state", "search.motion", "search.space_arrays",
+        "search.tree_growth", "search.shortcut",
+    ),
+    "roadmap": ("search.sight", "search.lazy_roadmap"),
+    "sequences": ("search.code_graph", "search.code_sequences", "search.walk"),
+    "cloud": ("points",),
+    "labels": ("search.edge_verdicts",),
+}  # fmt: skip
+"""What is compiled together, by modules of this room."""
+
+ROOM = __package__ + "."
+GROUP_OF = {ROOM + module: group for group, modules in GROUPS.items() for module in modules}
+NDARRAY = "cvqmpt_ndarray"
+"""The variable through which machine code knows arrays."""
+_DIGEST = 32  # bytes at the head of a file
+
+
+def _sources_digest() -> str:
+    """Hash of every file of this folder and those in it, in hexadecimal."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(str(path.relative_to(Path(__file__).parent)).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+SOURCES = _sources_digest()
+
+
+@functools.cache
+def folder() -> Path | None:
+    """A writable folder for machine code, or None with a warning."""
+    place = Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()).expanduser() / SOURCES
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        probe = place / f".writable-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        warnings.warn(
+            f"kernel cache {place} is not writable ({error.strerror}): every process compiles for half a minute; "
+            f"set NUMBA_CACHE_DIR to a writable folder",
+            stacklevel=2,
+        )
+        return None
+    return place
+
+
+def compiled_before(groups: Sequence[str] = ("plan",)) -> bool:
+    """Whether machine code of groups is already on disk."""
+    return folder() is not None and all(_path(group).is_file() for group in groups)
+
+
+def make_ready(groups: Sequence[str] = tuple(GROUPS)) -> None:
+    """Load groups, compiled first where they were not before."""
+    for group in groups:
+        _functions(group)
+
+
+def function(entry: "Entry") -> Callable[[tuple], Any]:
+    """An entry as a function of its arguments in a tuple, from the object file of its group."""
+    group = GROUP_OF.get(entry.__module__)
+    return (
+        _functions(group)[entry.symbol] if group else loaded(_built((entry,)), (entry.symbol,))[entry.symbol]
+    )
+
+
+@functools.cache
+def _functions(group: str) -> dict[str, Callable[[tuple], Any]]:
+    """Symbols of a group, and what they call."""
+    entries = _entries(group)
+    symbols = tuple(entry.symbol for entry in entries)
+    if folder() is None:
+        return loaded(_built(entries), symbols)
+    path = _path(group)
+    with contextlib.suppress(OSError):
+        data = path.read_bytes()
+        if hashlib.sha256(data[_DIGEST:]).digest() == data[:_DIGEST]:
+            return loaded(data[_DIGEST:], symbols)
+    code = _built(entries)
+    with contextlib.suppress(InvalidInputError):  # a full disk: compiled anew the next time
+        write_bytes(path, hashlib.sha256(code).digest() + code)
+    return loaded(code, symbols)
+
+
+def _entries(group: str) -> tuple["Entry", ...]:
+    """Entries of the modules of a group."""
+    modules = [import_module(ROOM + name) for name in GROUPS[group]]
+    return tuple(
+        value
+        for module in modules
+        for value in vars(module).values()
+        if hasattr(value, "symbol") and value.__module__ == module.__name__
+    )
+
+
+def _path(group: str) -> Path:
+    place = folder()
+    assert place is not None
+    return place / f"{group}-{_machine()}.o"
+
+
+def _built(entries: tuple["Entry", ...]) -> bytes:
+    from cvqmpt_lab.kernels.building import build  # imports numba
+
+    return build(entries)
+
+
+@functools.cache
+def _machine() -> str:
+    """A digest of what machine code depends on besides its sources."""
+    import llvmlite.binding as llvm
+
+    parts = [version("numba"), version("llvmlite"), np.__version__, sys.version]
+    parts += (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def loaded(code: bytes, symbols: tuple[str, ...]) -> dict[str, Callable[[tuple], Any]]:
+    """Functions of an object file, ready to be called with a tuple of arguments."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    ctypes.c_int64.from_address(engine.get_global_value_address(NDARRAY)).value = id(np.ndarray)
+    prototype = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)
+    functions: dict[str, Any] = {symbol: prototype(engine.get_function_address(symbol)) for symbol in symbols}
+    for call in functions.values():
+        call.engine = engine  # lives as long as its code can be called
+    return functions
