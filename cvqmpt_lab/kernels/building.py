@@ -9,7 +9,7 @@ runs.
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, get_type_hints
 
 from llvmlite import ir
 from numba import from_dtype, typeof, types
@@ -20,11 +20,9 @@ from numba.core.cpu import CPUContext
 from numba.core.registry import cpu_target
 from numba.np.numpy_support import as_dtype
 
+from cvqmpt_lab.kernels.annotations import Compilable, array_of
 from cvqmpt_lab.kernels.compiling import Kernel
 from cvqmpt_lab.kernels.objects import NDARRAY, loaded
-
-if TYPE_CHECKING:
-    from cvqmpt_lab.kernels.entry import Entry
 
 WORD, OBJECT = ir.IntType(64), ir.IntType(8).as_pointer()
 DATA, AXES, SHAPE, STRIDES, DESCRIPTION, FLAGS = 16, 24, 32, 40, 56, 64  # bytes into numpy's array object
@@ -74,7 +72,7 @@ def _numba_makes_no_machine_code() -> Iterator[CPUContext]:
             del context.get_executable
 
 
-def build(entries: Sequence["Entry"]) -> bytes:
+def build(entries: Sequence[Compilable]) -> bytes:
     """Compile entries, whose annotations say their types, into one object file."""
     return _object_file([(entry.symbol, entry.kernel, _argument_types(entry)) for entry in entries])
 
@@ -96,15 +94,13 @@ def type_of_intrinsic(intrinsic: Any) -> types.Type:
     return typing.resolve_value_type(intrinsic)
 
 
-def _argument_types(entry: "Entry") -> tuple[types.Type, ...]:
+def _argument_types(entry: Compilable) -> tuple[types.Type, ...]:
     hints = get_type_hints(entry.kernel.py_func, include_extras=True)
     return tuple(_numba_type(hints[name]) for name in entry.names)
 
 
 def _numba_type(hint: Any) -> types.Type:
     """Numba's type of what an annotation describes."""
-    from cvqmpt_lab.kernels.entry import array_of
-
     if hint in SCALARS:
         return SCALARS[hint]
     if hasattr(hint, "_fields"):

@@ -15,21 +15,9 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kernels.annotations import ArrayForm, array_of
 from cvqmpt_lab.kernels.compiling import Kernel
 from cvqmpt_lab.kernels.objects import function
-
-DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")}
-
-
-class _Array(NamedTuple):
-    """What an array must look like."""
-
-    place: int
-    """Which argument or field it is."""
-    name: str
-    dtype: np.dtype
-    shape: tuple[int | str, ...]
-    """Numbers, or names that stand for one."""
 
 
 class _Bundle(NamedTuple):
@@ -37,7 +25,7 @@ class _Bundle(NamedTuple):
 
     place: int
     name: str
-    members: tuple["_Array | _Bundle", ...]
+    members: tuple["ArrayForm | _Bundle", ...]
 
 
 def entry(kernel: Kernel) -> "Entry":
@@ -60,7 +48,7 @@ class Entry:
         return self.kernel._numba_type_  # to compiled callers this is the kernel itself
 
     @functools.cached_property
-    def _expected(self) -> tuple["_Array | _Bundle", ...]:
+    def _expected(self) -> tuple["ArrayForm | _Bundle", ...]:
         hints = get_type_hints(self.kernel.py_func, include_extras=True)
         return _expected({name: hints[name] for name in self.names}, list(self.names), deep=False)
 
@@ -88,15 +76,15 @@ def check_bundle(bundle: NamedTuple) -> None:
 
 
 @functools.cache
-def _members(bundle: Any, deep: bool) -> tuple[_Array | _Bundle, ...]:
+def _members(bundle: Any, deep: bool) -> tuple[ArrayForm | _Bundle, ...]:
     """What the fields of a bundle must look like; deep: those of bundles in it as well."""
     return _expected(get_type_hints(bundle, include_extras=True), list(bundle._fields), deep, nested=True)
 
 
 def _expected(
     hints: dict[str, Any], names: list[str], deep: bool, nested: bool = False
-) -> tuple[_Array | _Bundle, ...]:
-    found: list[_Array | _Bundle] = []
+) -> tuple[ArrayForm | _Bundle, ...]:
+    found: list[ArrayForm | _Bundle] = []
     for name, hint in hints.items():
         place = names.index(name)
         if hasattr(hint, "__metadata__"):
@@ -106,14 +94,9 @@ def _expected(
     return tuple(found)
 
 
-def array_of(hint: Any, place: int = 0, name: str = "") -> _Array:
-    """What an array's annotation says."""
-    words = hint.__metadata__[0].split()
-    dtype = DTYPES[words.pop(0)] if words[0] in DTYPES else DTYPES["float64"]
-    return _Array(place, name, dtype, tuple(int(word) if word.isdigit() else word for word in words))
-
-
-def _check(values: tuple, expected: tuple[_Array | _Bundle, ...], sizes: dict[str, int], where: str) -> None:
+def _check(
+    values: tuple, expected: tuple[ArrayForm | _Bundle, ...], sizes: dict[str, int], where: str
+) -> None:
     """Compare values with what is expected of them; sizes: numbers found so far for names of dimensions."""
     for item in expected:
         value = values[item.place]
@@ -132,7 +115,7 @@ def _check(values: tuple, expected: tuple[_Array | _Bundle, ...], sizes: dict[st
         raise InvalidInputError(_complaint(value, item, sizes, where))
 
 
-def _complaint(value: Any, item: _Array, sizes: dict[str, int], where: str) -> str:
+def _complaint(value: Any, item: ArrayForm, sizes: dict[str, int], where: str) -> str:
     wanted = ", ".join(f"{name} = {sizes[name]}" if name in sizes else str(name) for name in item.shape)
     if not isinstance(value, np.ndarray):
         return f"{where}: {item.name} is a {type(value).__name__}; give an array ({wanted}) of {item.dtype}"

@@ -17,22 +17,21 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, write_bytes
-
-if TYPE_CHECKING:
-    from cvqmpt_lab.kernels.entry import Entry
+from cvqmpt_lab.kernels.annotations import Compilable
 
 GROUPS: dict[str, tuple[str, ...]] = {
+    "poses": ("manifold.kinematics",),
     "robot": ("collision.sphere_cover",),
     "plan": (
-        "manifold.kinematics", "manifold.projection", "manifold.regions", "collision.distance_grid",
-        "collision.grid_filling", "search.reach", "search.single_state", "search.motion", "search.space_arrays",
-        "search.tree_growth", "search.shortcut",
+        "manifold.projection", "manifold.regions", "collision.distance_grid", "collision.grid_filling",
+        "search.reach", "search.single_state", "search.motion", "search.space_arrays", "search.tree_growth",
+        "search.shortcut",
     ),
     "roadmap": ("search.sight", "search.lazy_roadmap"),
     "sequences": ("search.code_graph", "search.code_sequences", "search.walk"),
@@ -90,7 +89,7 @@ def make_ready(groups: Sequence[str] = tuple(GROUPS)) -> None:
         _functions(group)
 
 
-def function(entry: "Entry") -> Callable[[tuple], Any]:
+def function(entry: Compilable) -> Callable[[tuple], Any]:
     """An entry as a function of its arguments in a tuple, from the object file of its group."""
     group = GROUP_OF.get(entry.__module__)
     return (
@@ -116,7 +115,7 @@ def _functions(group: str) -> dict[str, Callable[[tuple], Any]]:
     return loaded(code, symbols)
 
 
-def _entries(group: str) -> tuple["Entry", ...]:
+def _entries(group: str) -> tuple[Compilable, ...]:
     """Entries of the modules of a group."""
     modules = [import_module(ROOM + name) for name in GROUPS[group]]
     return tuple(
@@ -133,7 +132,7 @@ def _path(group: str) -> Path:
     return place / f"{group}-{_machine()}.o"
 
 
-def _built(entries: tuple["Entry", ...]) -> bytes:
+def _built(entries: tuple[Compilable, ...]) -> bytes:
     from cvqmpt_lab.kernels.building import build  # imports numba
 
     return build(entries)
