@@ -33,7 +33,7 @@ from paper_tables.comparison import REFERENCE
 LEARNING_CURVE = "learning-curve"
 CURVE_FILE = "learning_curve.csv"
 BOUNDS = ("_low", "_high")
-SIZES = (1, 3, 10, 30, 100, 300, 1000)
+SIZES = (1, 4, 16, 64, 256, 1024)
 """Scenes to learn from."""
 HELD_OUT = 35  # scenes
 BATCH, UPDATES = 256, 2000  # of every training, so that each is equally long
