@@ -69,6 +69,7 @@ HOUR = (
     Amount("sensor-robustness", cutoff=3.0),
     Amount("place-task", seeds=5, planners=QUICK),
     Amount("multi-sequence", seeds=5, planners=QUICK),
+    Amount("multi-sequence"),
     Amount("place-task-with-can", planners=QUICK),
 )
 SMALL = (
