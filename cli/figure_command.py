@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cli.options import ProgressBar, add_model, positive_int
 from cvqmpt_lab.errors import InvalidInputError
-from experiments.figures.latent_update import UpdateSettings
+from experiments.figures.code_update import UpdateSettings
 from experiments.figures.learning_curve import LEARNING_CURVE
 from experiments.figures.run_figure import (
     FIGURES,

@@ -1,4 +1,4 @@
-"""`cvqmpt train`: train the dictionary, the sequence model or MPNet; resumable, needs torch and numpy only."""
+"""`cvqmpt train`: train a dictionary, a sequence model or MPNet; resumable, needs torch and numpy only."""
 
 import argparse
 import json
@@ -18,9 +18,9 @@ PARTS = {"sight": 400, "sequences": 1600}
 """Small parts of a model, trained in minutes by kernels at hand, and the scenes that are enough for them."""
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
-    "cvqmpt train stage2 --profile compact --data data/paths --dictionary runs/dictionary --out runs/model",
     "cvqmpt train sight --data data/roadmap --out runs/seeing",
     "cvqmpt train sequences --data data/roadmap --model runs/seeing --out runs/sequences",
+    "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train mpnet --data data/roadmap --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
     "cvqmpt train stage1 --config mine.json --data data/paths --out runs/mine",
@@ -42,7 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="state, curves and model/ go there; continued if it is there"
     )
-    parser.add_argument("--dictionary", type=Path, metavar="DIR", help="for stage2: --out of stage1")
+    parser.add_argument(
+        "--dictionary",
+        type=Path,
+        metavar="DIR",
+        help="for stage2 (of the authors' architecture): --out of stage1",
+    )
     parser.add_argument(
         "--model", metavar="DIR", help=f"for {', '.join(PARTS)}: whose they are (the shipped VQ-MPT)"
     )

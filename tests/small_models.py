@@ -5,7 +5,7 @@ import dataclasses
 import torch
 from training_data import kinematics
 
-from cvqmpt_lab.models.checkpoint import Checkpoint, build_sequence_model
+from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.config import (
     DictionaryConfig,
     ModelConfig,
@@ -15,31 +15,16 @@ from cvqmpt_lab.models.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
+from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
 from cvqmpt_lab.prediction.configurations import robot_signature
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)
-POINTS = PointCloudConfig(
-    max_points=60,
-    sa1=SetAbstractionConfig(count=20, radius=0.4, max_neighbours=8, widths=(8, 12)),
-    sa2=SetAbstractionConfig(count=6, radius=0.8, max_neighbours=8, widths=(10, 14)),
-)
 METADATA = {"kinematics": kinematics()}
 
 
-def small_config(refinement=True, feature_dim=12):
-    base = ModelConfig.compact(feature_dim=feature_dim, n_codes=64)
-    return dataclasses.replace(
-        base,
-        dictionary=dataclasses.replace(base.dictionary, transformer=SIZES),
-        point_cloud=POINTS,
-        sequence=SequenceConfig(
-            context=None,
-            transformer=SIZES,
-            max_length=40,
-            start_goal_codes=True,
-            refinement=refinement,
-        ),
-    )
+def compact_config():
+    base = ModelConfig.compact(feature_dim=12, n_codes=64)
+    return dataclasses.replace(base, dictionary=dataclasses.replace(base.dictionary, transformer=SIZES))
 
 
 def published_config():
@@ -53,20 +38,20 @@ def published_config():
     )
 
 
-def random_checkpoint(robot, config=None, *, goal_bias=2.0, metadata=METADATA):
+def random_checkpoint(robot, config=None, *, goal_bias=6.0, metadata=METADATA):
     """A checkpoint whose decisions depend on its input; `goal_bias` makes the goal token likelier."""
-    config = small_config() if config is None else config
+    config = published_config() if config is None else config
     torch.manual_seed(0)
-    dictionary, model = Dictionary(config), build_sequence_model(config)
+    dictionary = Dictionary(config)
+    model = PublishedSequenceModel(config) if config.kind == "published" else None
     with torch.no_grad():
-        for parameter in (*model.parameters(), *dictionary.decoder.parameters()):
+        for parameter in (*(model.parameters() if model else ()), *dictionary.decoder.parameters()):
             parameter += 0.1 * torch.randn_like(parameter)
         for head in (dictionary.decoder.mu, dictionary.decoder.l):
             head[0].weight *= 2.0
         dictionary.decoder.diag[0].bias -= 3.0
-        last = model.class_pred if config.kind == "compact" else model.autoregressive.class_pred
-        last.weight *= 2.0
-        last.bias[-1] += goal_bias
-        if config.kind == "compact":
-            model.set_code_configurations(torch.rand(config.dictionary.n_codes, config.configuration_dim))
-    return Checkpoint(config, robot_signature(robot), dictionary.eval(), model.eval(), metadata)
+        if model:
+            model.autoregressive.class_pred.weight *= 2.0
+            model.autoregressive.class_pred.bias[-1] += goal_bias
+            model.eval()
+    return Checkpoint(config, robot_signature(robot), dictionary.eval(), model, metadata)

@@ -47,7 +47,7 @@ def smooth_path(rng):
         count += 4
 
 
-def shard(rng, seeds, paths_per_scene, labels):
+def shard(rng, seeds, paths_per_scene):
     """Arrays of one shard."""
     s, shapes = len(seeds), 5
     m = s * shapes
@@ -77,11 +77,6 @@ def shard(rng, seeds, paths_per_scene, labels):
         "trivial": np.arange(p) % 3 == 0,
         "twin_of": np.where(np.arange(p) % paths_per_scene == 1, np.arange(p) - 1, -1).astype(np.int32),
     }
-    if labels:
-        arrays["probe_q"] = rng.integers(0, 65536, (s, 64, 7)).astype(np.uint16)
-        arrays["probe_free"] = arrays["probe_q"][:, :, 1] < 40000
-        arrays["edge_q"] = rng.integers(0, 65536, (s, 16, 2, 7)).astype(np.uint16)
-        arrays["edge_free"] = rng.random((s, 16)) < 0.5
     return arrays
 
 
@@ -101,9 +96,7 @@ def write_shard(folder, number, arrays):
         writer.writerow([f"{number:06d}", digest, len(arrays["scene_seed"]), len(arrays["path_scene"])])
 
 
-def write_dataset(
-    folder, *, shards=((20, 1, 2), (40, 3, 4)), paths_per_scene=7, labels=True, seed=0, **changes
-):
+def write_dataset(folder, *, shards=((20, 1, 2), (40, 3, 4)), paths_per_scene=7, seed=0, **changes):
     """Write scenes of the given seeds, paths of each of them; `changes` replace fields of the description."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -111,5 +104,5 @@ def write_dataset(
     description |= {"kinematics": kinematics(), **changes}
     (folder / "dataset.json").write_text(json.dumps(description))
     for number, seeds in enumerate(shards):
-        write_shard(folder, number, shard(rng, seeds, paths_per_scene, labels))
+        write_shard(folder, number, shard(rng, seeds, paths_per_scene))
     return folder

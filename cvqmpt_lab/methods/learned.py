@@ -24,12 +24,13 @@ from cvqmpt_lab.methods.method import Stages, Weights
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.planning.around_path import UnconstrainedPath
+from cvqmpt_lab.planning.code_proposals import CodeProposal
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, Timings
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
 from cvqmpt_lab.planning.sight import Sight
-from cvqmpt_lab.prediction.dictionary_gaussians import codes_of, dictionary_gaussians
+from cvqmpt_lab.prediction.codebook import codes_of, dictionary_gaussians
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.prediction.prediction import Prediction
 from cvqmpt_lab.prediction.predictor import Predictor
@@ -43,8 +44,8 @@ GOALS = 3  # nearest goals that the model is asked about; the search gets them a
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedProposal(Proposal):
-    """A proposal that remembers the codes it was made of."""
+class PredictedProposal(CodeProposal):
+    """A proposal that remembers the prediction it was made of."""
 
     prediction: Prediction | None = None
 
@@ -59,7 +60,7 @@ class PredictedCodes:
         """Predict; the timings say what the networks took."""
         assert observation.cloud is not None
         goals = query.nearest_goals(GOALS)
-        prediction = self.predictor.predict(observation.cloud, query.start, goals, query.rng)
+        prediction = self.predictor.predict(observation.cloud, query.start, goals)
         lost = len(prediction.unfinished)
         detail = f"{len(prediction.codes)} codes" + (
             f", none to {lost} of {len(goals)} goals" if lost else ""
@@ -69,6 +70,7 @@ class PredictedCodes:
             Timings(prediction.encode_seconds, prediction.predict_seconds),
             detail,
             fallback="" if len(prediction.codes) else "no code sequence reached a goal",
+            codes=prediction.codes,
             prediction=prediction,
         )
 
@@ -86,7 +88,7 @@ class MovedCodes:
         prediction = proposal.prediction
         if query.space.dim == 0 or len(prediction.codes) == 0:
             return proposal
-        moved = self.optimizer.optimize(prediction, query.space.problem.manifold, query.rng)
+        moved = self.optimizer.optimize(prediction.z, query.space.problem.manifold, query.rng)
         before, after = moved.g_before.mean(), moved.g_after.mean()
         return replace(
             proposal,
@@ -114,7 +116,7 @@ def as_published(name: str) -> Build:
 def _cvq_mpt(settings: PredictorSettings, update: LatentSettings | None = None) -> Build:
     def build(robot: Robot, weights: Weights) -> Stages:
         predictor = _predictor(weights, robot, settings)
-        moved = None if update is None else MovedCodes(predictor, LatentOptimizer(predictor, update))
+        moved = None if update is None else MovedCodes(predictor, LatentOptimizer(predictor.codebook, update))
         return Stages(predict=PredictedCodes(predictor), observe=observer(), update=moved)
 
     return build
@@ -163,7 +165,7 @@ def moved_to_manifold(weights: Weights) -> Callable[[Query, np.ndarray], Gaussia
 
     def move(query: Query, codes: np.ndarray) -> Gaussians:
         codebook, manifold = codebook_of(weights, query.space.robot), query.space.problem.manifold
-        moved = LatentOptimizer(codebook).optimize_codes(codebook.vectors[codes], None, manifold, query.rng)
+        moved = LatentOptimizer(codebook).optimize(codebook.vectors[codes], manifold, query.rng)
         return Gaussians(*codebook.gaussians(moved.z))
 
     return move

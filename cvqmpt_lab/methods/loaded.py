@@ -13,8 +13,7 @@ from cvqmpt_lab.planning.code_graph import SeenGraph
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.codebook import Codebook
-from cvqmpt_lab.prediction.dictionary_gaussians import dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.prediction.codebook import Codebook, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot

@@ -26,15 +26,12 @@ from cvqmpt_lab.planning.code_proposals import CodeProposal, PredictedSequences
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.codebook import Codebook, widened
-from cvqmpt_lab.prediction.dictionary_gaussians import drawn_nodes
+from cvqmpt_lab.prediction.codebook import Codebook, drawn_nodes, widened
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 
 WIDTH = 1.1  # [rad] no Gaussian that is sampled from is narrower in any direction; chosen on the tuning environments
-
-
 STEPS = 5  # of Algorithm 2
 CHEAPEST = SmallNetwork(
     first=np.eye(FEATURES)[2:3],
@@ -61,7 +58,7 @@ class MovedGaussians:
         if query.space.dim == 0 or proposal.path is not None or not isinstance(mixture, GaussianMixture):
             return proposal
         z, manifold = self.codebook.vectors[proposal.codes], query.space.problem.manifold
-        moved = self.optimizer.optimize_codes(z, None, manifold, query.rng)
+        moved = self.optimizer.optimize(z, manifold, query.rng)
         means, covariances = self.codebook.gaussians(moved.z)
         noise = drawn_noise(len(self.codebook.vectors), query.space.robot.dof)[proposal.codes]
         means = drawn_nodes(means, covariances, query.space.robot, noise)

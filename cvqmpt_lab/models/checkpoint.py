@@ -9,7 +9,6 @@ import torch
 from torch import nn
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.models.compact.sequence_model import CompactSequenceModel
 from cvqmpt_lab.models.config import ModelConfig, MPNetConfig
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.models.mpnet.network import MPNet
@@ -18,17 +17,6 @@ from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.models.stored import MPNET, VQ_MPT, StoredModel, read_model
 from cvqmpt_lab.models.tensors import filled
 from cvqmpt_lab.models.weights_folder import write_weights
-
-SequenceModel = PublishedSequenceModel | CompactSequenceModel
-_SEQUENCE_MODELS: dict[str, type[PublishedSequenceModel] | type[CompactSequenceModel]] = {
-    "published": PublishedSequenceModel,
-    "compact": CompactSequenceModel,
-}
-
-
-def build_sequence_model(config: ModelConfig) -> SequenceModel:
-    """Stage 2 as `config.kind` asks for, with random weights."""
-    return _SEQUENCE_MODELS[config.kind](config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +28,8 @@ class Checkpoint:
     config: ModelConfig
     robot: RobotSignature
     dictionary: Dictionary
-    sequence_model: SequenceModel | None = None
-    """None after stage 1 alone."""
+    sequence_model: PublishedSequenceModel | None = None
+    """None after stage 1 alone, which is all of a compact model."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """Json values: how it was trained."""
 
@@ -121,7 +109,7 @@ def as_modules(model: StoredModel) -> Checkpoint:
     config = model.config
     builders = {
         "dictionary": lambda: Dictionary(config),
-        "sequence_model": lambda: build_sequence_model(config),
+        "sequence_model": lambda: PublishedSequenceModel(config),
     }
     modules: dict[str, Any] = {
         name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)

@@ -1,7 +1,6 @@
 """Sizes and options of a model, as frozen data that `codec` takes to json and back.
 
-Defaults are the paper's; `ModelConfig.compact` is the smaller model with every departure switched on,
-each of which is one named field that can be switched off again.
+Defaults are the paper's; `ModelConfig.compact` is the smaller dictionary that ships.
 """
 
 import math
@@ -83,10 +82,8 @@ class DictionaryConfig:
 class SetAbstractionConfig:
     """One PointNet++ level: centres, their neighbourhoods and the perceptron over each."""
 
-    ratio: float | None = None
-    """Share of the points kept as centres; None when `count` is given."""
-    count: int | None = None
-    """Centres, or all points when there are fewer; None when `ratio` is given."""
+    ratio: float = 0.75
+    """Share of the points kept as centres."""
     radius: float
     """Of the ball around a centre [m]."""
     max_neighbours: int = 64
@@ -95,10 +92,8 @@ class SetAbstractionConfig:
     """Outputs of the perceptron's two layers."""
 
     def __post_init__(self) -> None:
-        if (self.ratio is None) == (self.count is None):
-            raise InvalidInputError(f"set abstraction: give ratio or count, not {self.ratio}, {self.count}")
-        require_sizes(count=self.count, max_neighbours=self.max_neighbours, widths=self.widths)
-        if not 0.0 < self.radius < math.inf or not 0.0 < (self.ratio or 1.0) <= 1.0:
+        require_sizes(max_neighbours=self.max_neighbours, widths=self.widths)
+        if not 0.0 < self.radius < math.inf or not 0.0 < self.ratio <= 1.0:
             raise InvalidInputError(
                 f"set abstraction: radius {self.radius} m and ratio {self.ratio}; "
                 "give a positive radius and a ratio of at most 1"
@@ -109,33 +104,20 @@ class SetAbstractionConfig:
 class PointCloudConfig:
     """Two levels of set abstraction; the second one's centres are the scene tokens."""
 
-    max_points: int | None = None
-    """Larger clouds are thinned to every so-many-th point (compact only); None for all."""
-    sa1: SetAbstractionConfig = SetAbstractionConfig(ratio=0.75, radius=0.2, widths=(64, 128))
-    sa2: SetAbstractionConfig = SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, 512))
+    sa1: SetAbstractionConfig = SetAbstractionConfig(radius=0.2, widths=(64, 128))
+    sa2: SetAbstractionConfig = SetAbstractionConfig(radius=0.4, widths=(256, 512))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceConfig:
     """Stage 2: scene, start and goal -> sequence of codes."""
 
-    context: TransformerConfig | None = field(default_factory=TransformerConfig)
-    """Cross attention of start and goal to the scene; None in the compact model, whose layers attend to the
-    scene themselves."""
+    context: TransformerConfig = field(default_factory=TransformerConfig)
+    """Cross attention of start and goal to the scene."""
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
     """The model of the sequence."""
     max_length: int = 50
     """Tokens predicted at most, the goal token included."""
-    start_goal_codes: bool = False
-    """Start and goal enter also by their codes in the dictionary (compact only)."""
-    refinement: bool = False
-    """A Gaussian of its own for every predicted step (compact only)."""
-    collision_head: bool = False
-    """P(configuration free) (compact only)."""
-    connectivity_head: bool = False
-    """P(straight motion free) (compact only)."""
-    head_level: Literal["coarse", "fine"] = "fine"
-    """Scene tokens those two heads attend to: the few of the second level or the many of the first."""
 
     def __post_init__(self) -> None:
         require_sizes(max_length=self.max_length)
@@ -146,46 +128,48 @@ class ModelConfig:
     """Everything needed to build a VQ-MPT model."""
 
     kind: Literal["published", "compact"] = "published"
-    """The architecture of the published checkpoints, or the smaller one."""
+    """The architecture of the published checkpoints, or the smaller dictionary alone."""
     joint_dim: int = 7
     feature_dim: int = 0
     """Numbers that describe a configuration beside its joints, such as link positions by forward kinematics,
     flattened [m]; 0 for none (compact only)."""
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
-    point_cloud: PointCloudConfig = field(default_factory=PointCloudConfig)
-    sequence: SequenceConfig = field(default_factory=SequenceConfig)
+    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)
+    """None in a compact model."""
+    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)
+    """None in a compact model."""
 
     def __post_init__(self) -> None:
         require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
         if self.kind == "published":
             self._require_published()
-        elif self.sequence.context is not None:
-            raise InvalidInputError("kind 'compact' has no sequence.context; set it to null")
-        elif self.sequence.transformer.d_k != self.sequence.transformer.d_v:
-            raise InvalidInputError(
-                "kind 'compact' has d_v equal to d_k in sequence.transformer, not "
-                f"{self.sequence.transformer.d_v} and {self.sequence.transformer.d_k}"
-            )
+        elif self.point_cloud is not None or self.sequence is not None:
+            raise InvalidInputError("kind 'compact' has no point_cloud and no sequence; set them to null")
 
     def _require_published(self) -> None:
-        sequence, width = self.sequence, self.sequence.transformer.d_model
+        point_cloud, sequence = self.stage2
         departures = {
             "feature_dim": self.feature_dim > 0,
             "dictionary.encoder": self.dictionary.encoder != "transformer",
             "dictionary.data_initialised": self.dictionary.data_initialised,
-            "start_goal_codes": sequence.start_goal_codes,
-            "refinement": sequence.refinement,
-            "collision_head": sequence.collision_head,
-            "connectivity_head": sequence.connectivity_head,
-            "point_cloud.max_points": self.point_cloud.max_points is not None,
-            "null sequence.context": sequence.context is None,
         }
         for name, departs in departures.items():
             if departs:
                 raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
-        widths = (self.dictionary.transformer.d_model, self.point_cloud.sa2.widths[1])
-        if sequence.context is None or {*widths, sequence.context.d_model} != {width}:
+        width = sequence.transformer.d_model
+        widths = (self.dictionary.transformer.d_model, point_cloud.sa2.widths[1])
+        if {*widths, sequence.context.d_model} != {width}:
             raise InvalidInputError(f"kind 'published' has one latent width: {width} is not {widths}")
+
+    @property
+    def stage2(self) -> tuple[PointCloudConfig, SequenceConfig]:
+        """Sizes of the sequence model; raises InvalidInputError for a model without one."""
+        if self.point_cloud is None or self.sequence is None:
+            raise InvalidInputError(
+                f"a model of kind {self.kind!r} without point_cloud and sequence has no sequence model; "
+                "use kind 'published'"
+            )
+        return self.point_cloud, self.sequence
 
     @property
     def configuration_dim(self) -> int:
@@ -199,7 +183,7 @@ class ModelConfig:
 
     @classmethod
     def compact(cls, joint_dim: int = 7, feature_dim: int = 0, n_codes: int = 1024) -> Self:
-        """About a tenth of the size, made for one CPU core, every departure from the paper on."""
+        """A dictionary of about a tenth of the size, made for one CPU core."""
         small = TransformerConfig(n_heads=4, d_k=32, d_v=32, d_model=128, d_inner=256, dropout=0.1)
         return cls(
             kind="compact",
@@ -212,19 +196,8 @@ class ModelConfig:
                 decoder_dropout=0.0,
                 data_initialised=True,
             ),
-            point_cloud=PointCloudConfig(
-                max_points=2048,
-                sa1=SetAbstractionConfig(count=256, radius=0.15, max_neighbours=16, widths=(32, 64)),
-                sa2=SetAbstractionConfig(count=64, radius=0.4, max_neighbours=32, widths=(128, 128)),
-            ),
-            sequence=SequenceConfig(
-                context=None,
-                transformer=small,
-                start_goal_codes=True,
-                refinement=True,
-                collision_head=feature_dim > 0,
-                connectivity_head=feature_dim > 0,
-            ),
+            point_cloud=None,
+            sequence=None,
         )
 
 

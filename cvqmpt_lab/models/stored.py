@@ -17,8 +17,8 @@ VQ_MPT, MPNET = "vq-mpt", "mpnet"
 CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
 """Sizes and options of each architecture."""
 PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight", "sequences"), MPNET: ("mpnet",)}
-"""Files of each architecture; the first is always there, VQ-MPT's second after stage 2, its third if it has eyes, its
-fourth if these show it sequences of codes."""
+"""Files of each architecture; the first is always there, VQ-MPT's second after stage 2 (kind "published" alone), its
+third if it has eyes, its fourth if these show it sequences of codes."""
 
 Arrays = Mapping[str, np.ndarray]
 """Weights by name."""
@@ -51,11 +51,11 @@ class StoredModel:
         Raises
         ------
         InvalidInputError
-            When the model has none: it was trained for stage 1 alone.
+            When the model has none: a published one was trained for stage 1 alone, or the kind has none.
         """
         if name not in self.parts:
             raise InvalidInputError(
-                f"the model has no {name}, only {', '.join(self.parts)}; train stage2 for one"
+                f"the model has no {name}, only {', '.join(self.parts)}; train stage2 of kind 'published' for one"
             )
         return Tensors(self.parts[name], name)
 
@@ -90,9 +90,9 @@ class Tensors:
             return array.astype(np.float64)
         raise InvalidInputError(f"{self.where} does not fit its configuration: {name} {fault}")
 
-    def require_used(self, *unused: str) -> None:
-        """Raise InvalidInputError when arrays were never asked for, other than those with a part of their name so."""
-        left = [n for n in self.arrays if n not in self.taken and not any(part in n for part in unused)]
+    def require_used(self) -> None:
+        """Raise InvalidInputError when arrays were never asked for."""
+        left = [name for name in self.arrays if name not in self.taken]
         if left:
             raise InvalidInputError(f"{self.where} does not fit its configuration: {left[0]} is left over")
 

@@ -13,20 +13,6 @@ from cvqmpt_lab.models.stored import StoredModel
 
 
 @dataclass(frozen=True, eq=False)
-class Refinement:
-    """What the compact model's refinement head adds to each code's Gaussian; it does not move with z."""
-
-    shift: np.ndarray
-    """(c, n), of the mean, normalised joints."""
-    std: np.ndarray
-    """(c, n), of each joint, uncorrelated, normalised joints."""
-
-    def __getitem__(self, index: np.ndarray | slice) -> "Refinement":
-        """Those of some codes."""
-        return Refinement(self.shift[index], self.std[index])
-
-
-@dataclass(frozen=True, eq=False)
 class CodeGaussians:
     """Gaussians of codes: u = mean + scale @ eps."""
 
@@ -38,7 +24,6 @@ class CodeGaussians:
     _lower: np.ndarray = field(repr=False)
     _root: np.ndarray = field(repr=False)
     _tape: tuple[np.ndarray, ...] = field(repr=False)
-    _refined: bool = field(repr=False)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -87,8 +72,8 @@ class CodeDecoder:
         self._heads, self._heads_bias = as_used(head_w * gain), as_used(head_b + head_w @ offset)
         self._rows, self._columns = np.tril_indices(n, -1)
 
-    def decode(self, z: np.ndarray, refinement: Refinement | None = None) -> CodeGaussians:
-        """Gaussians of code vectors z (c, code_dim); refined ones keep their width when z moves."""
+    def decode(self, z: np.ndarray) -> CodeGaussians:
+        """Gaussians of code vectors z (c, code_dim)."""
         n = self.n
         z = np.asarray(z, dtype=self.dtype)
         hidden = z @ self._inner.T
@@ -106,13 +91,9 @@ class CodeDecoder:
         root = np.sqrt(np.logaddexp(0.0, heads[:, n : 2 * n]))
         tape = (hidden, y, rate, heads, tanh)
         lower: np.ndarray = np.zeros((len(z), n, n), dtype=self.dtype)
-        if refinement is not None:
-            mean += refinement.shift
-            lower[:, np.arange(n), np.arange(n)] = refinement.std
-            return CodeGaussians(mean, lower, self, lower, root, tape, True)
         lower[:, np.arange(n), np.arange(n)] = 1.0
         lower[:, self._rows, self._columns] = heads[:, 2 * n :]
-        return CodeGaussians(mean, lower * root[:, None, :], self, lower, root, tape, False)
+        return CodeGaussians(mean, lower * root[:, None, :], self, lower, root, tape)
 
     def gradient(self, gaussians: CodeGaussians, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """What `CodeGaussians.pull_back` returns."""
@@ -121,14 +102,13 @@ class CodeDecoder:
         hidden, y, rate, heads, tanh = gaussians._tape
         by_heads = np.zeros_like(heads)
         by_heads[:, :n] = 0.5 * mean * (1.0 - tanh * tanh)
-        if not gaussians._refined:
-            by_root = np.einsum("cij,cij->cj", scale, gaussians._lower)
-            # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))), sigmoid(x) = 1 - exp(-softplus(x))
-            by_heads[:, n : 2 * n] = (
-                0.5 * by_root * -np.expm1(-(gaussians._root**2)) / np.maximum(gaussians._root, 1e-12)
-            )
-            by_lower = scale * gaussians._root[:, None, :]
-            by_heads[:, 2 * n :] = by_lower[:, self._rows, self._columns]
+        by_root = np.einsum("cij,cij->cj", scale, gaussians._lower)
+        # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))), sigmoid(x) = 1 - exp(-softplus(x))
+        by_heads[:, n : 2 * n] = (
+            0.5 * by_root * -np.expm1(-(gaussians._root**2)) / np.maximum(gaussians._root, 1e-12)
+        )
+        by_lower = scale * gaussians._root[:, None, :]
+        by_heads[:, 2 * n :] = by_lower[:, self._rows, self._columns]
         by_y = by_heads @ self._heads
         by_y -= y * (np.einsum("cd,cd->c", by_y, y)[:, None] / y.shape[1])
         by_y *= rate

@@ -15,10 +15,8 @@ import numpy as np
 
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.prediction.code_decoder import CodeDecoder, CodeGaussians, Refinement
+from cvqmpt_lab.prediction.code_decoder import CodeDecoder, CodeGaussians
 from cvqmpt_lab.prediction.codebook import Codebook
-from cvqmpt_lab.prediction.prediction import Prediction
-from cvqmpt_lab.prediction.predictor import Predictor
 
 Method = Literal["adam", "gradient", "slsqp"]
 _MEAN_DECAY, _SQUARE_DECAY, _TINY = 0.9, 0.999, 1e-12
@@ -78,34 +76,26 @@ class Optimized:
 
 
 class LatentOptimizer:
-    """Algorithm 2 for the codes of a prediction, all codes of all goals in one batch."""
+    """Algorithm 2 for codes of a dictionary, all of them in one batch."""
 
-    def __init__(self, predictor: Predictor | Codebook, settings: LatentSettings | None = None) -> None:
+    def __init__(self, codebook: Codebook, settings: LatentSettings | None = None) -> None:
         self.settings = LatentSettings() if settings is None else settings
-        self._objective = LatentObjective(
-            predictor.decoder, predictor.configurations.lower, predictor.configurations.range
-        )
+        of = codebook.configurations
+        self._objective = LatentObjective(codebook.decoder, of.lower, of.range)
 
-    def optimize(self, prediction: Prediction, constraint: Constraint, rng: np.random.Generator) -> Optimized:
-        """Move the codes of a prediction towards a constraint; hand `z` of the result to `Predictor.mixture`."""
-        return self.optimize_codes(prediction.z, prediction.refinement, constraint, rng)
-
-    def optimize_codes(
-        self, z0: np.ndarray, refinement: Refinement | None, constraint: Constraint, rng: np.random.Generator
-    ) -> Optimized:
-        """Move codes z0 (c, code_dim), wherever they come from."""
+    def optimize(self, z0: np.ndarray, constraint: Constraint, rng: np.random.Generator) -> Optimized:
+        """Move codes z0 (c, code_dim) towards a constraint."""
         began = time.perf_counter()
         settings, n = self.settings, len(self._objective.range)
         noise = rng.standard_normal((settings.samples, n))
         fresh = rng.standard_normal((settings.check_samples, n))
-        problem = _Problem(self._objective, constraint, z0, refinement, noise, settings.trust)
+        problem = _Problem(self._objective, constraint, z0, noise, settings.trust)
         z, steps = _METHODS[settings.method](problem, settings)
-        before = self._objective.value(z0, refinement, constraint, fresh)
+        before = self._objective.value(z0, constraint, fresh)
         after = before.copy()
         moved = np.flatnonzero((z != z0).any(axis=1))
         if len(moved):
-            part = None if refinement is None else refinement[moved]
-            after[moved] = self._objective.value(z[moved], part, constraint, fresh)
+            after[moved] = self._objective.value(z[moved], constraint, fresh)
         kept = ~(after < before)
         return Optimized(
             z=np.where(kept[:, None], z0, z),
@@ -125,19 +115,17 @@ class LatentObjective:
     lower: np.ndarray
     range: np.ndarray
 
-    def value(
-        self, z: np.ndarray, refinement: Refinement | None, constraint: Constraint, noise: np.ndarray
-    ) -> np.ndarray:
+    def value(self, z: np.ndarray, constraint: Constraint, noise: np.ndarray) -> np.ndarray:
         """G (c,) of codes (c, code_dim), with draws from standard normal noise (s, n)."""
-        q = self._samples(self.decoder.decode(z, refinement), noise)
+        q = self._samples(self.decoder.decode(z), noise)
         return _mean_square(constraint.residual_and_jacobian(q)[0], (len(z), len(noise)))
 
     def value_and_gradient(
-        self, z: np.ndarray, refinement: Refinement | None, constraint: Constraint, noise: np.ndarray
+        self, z: np.ndarray, constraint: Constraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """G (c,) and dG/dz (c, code_dim)."""
         c, (s, n) = len(z), noise.shape
-        gaussians = self.decoder.decode(z, refinement)
+        gaussians = self.decoder.decode(z)
         residual, jacobian = constraint.residual_and_jacobian(self._samples(gaussians, noise))
         by_q = np.einsum("bm,bmn->bn", residual, jacobian).reshape(c, s, n)
         by_u = np.ascontiguousarray(by_q.swapaxes(1, 2)) * (2.0 / s * self.range[:, None])
@@ -165,14 +153,12 @@ class _Problem:
     objective: LatentObjective
     constraint: Constraint
     z0: np.ndarray
-    refinement: Refinement | None
     noise: np.ndarray
     trust: float
 
     def value_and_gradient(self, z: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (a,) and gradients (a, code_dim) at z (a, code_dim) of some codes (a,)."""
-        part = None if self.refinement is None else self.refinement[codes]
-        value, gradient = self.objective.value_and_gradient(z, part, self.constraint, self.noise)
+        value, gradient = self.objective.value_and_gradient(z, self.constraint, self.noise)
         away = z - self.z0[codes]
         return value + self.trust * np.square(away).sum(axis=1), gradient + 2.0 * self.trust * away
 

@@ -8,9 +8,6 @@ import numpy as np
 
 from cvqmpt_lab.models.stored import Tensors
 
-TORCH_EPSILON = 1e-5
-"""Of layer and batch norms that say nothing else."""
-
 
 @dataclass(frozen=True, eq=False)
 class Affine:
@@ -62,36 +59,9 @@ class Perceptron:
         return self.layers[-1](x)
 
 
-@dataclass(frozen=True, eq=False)
-class LayerNorm:
-    """Rows scaled to mean 0 and variance 1, then each column by its own."""
-
-    scale: np.ndarray
-    shift: np.ndarray
-    epsilon: float = TORCH_EPSILON
-
-    @classmethod
-    def of(cls, tensors: Tensors, name: str, width: int, epsilon: float = TORCH_EPSILON) -> Self:
-        """By name."""
-        scale, shift = (tensors(f"{name}.{kind}", width).astype(np.float32) for kind in ("weight", "bias"))
-        return cls(scale, shift, epsilon)
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Map rows (r, d)."""
-        return normalised(x, self.epsilon) * self.scale + self.shift
-
-
-def normalised(x: np.ndarray, epsilon: float = TORCH_EPSILON) -> np.ndarray:
+def normalised(x: np.ndarray, epsilon: float) -> np.ndarray:
     """Layer norm of rows x (r, d) without scale and shift."""
     d = x.shape[1]
     y = x - np.add.reduce(x, axis=1, keepdims=True) / d
     y *= 1.0 / np.sqrt(np.add.reduce(y * y, axis=1, keepdims=True) / d + epsilon)
     return y
-
-
-def softmax(scores: np.ndarray) -> np.ndarray:
-    """Along the last axis, in place."""
-    scores -= np.maximum.reduce(scores, axis=-1, keepdims=True)
-    np.exp(scores, out=scores)
-    scores /= np.add.reduce(scores, axis=-1, keepdims=True)
-    return scores

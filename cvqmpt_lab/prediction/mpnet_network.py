@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.models.config import MPNetConfig
+from cvqmpt_lab.models.point_cloud.clouds import checked_cloud
 from cvqmpt_lab.models.stored import StoredModel, Tensors
-from cvqmpt_lab.prediction.cloud_encoder import checked_cloud
 from cvqmpt_lab.prediction.layers import Affine
 
 

@@ -1,38 +1,27 @@
-"""What the models predict for a start and goals: code sequences, their union and its Gaussians."""
+"""What a sequence model predicts for a start and goals: code sequences, their union and its Gaussians."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from cvqmpt_lab.models.decoding.beam_search import CodeSequence
-from cvqmpt_lab.prediction.code_decoder import Refinement
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Code sequences to each of k goals, and the c codes of their union with their Gaussians.
+    """A code sequence to each of k goals, and the c codes of those that are finished with their Gaussians."""
 
-    A goal's codes are those of its finished sequences, likeliest sequence first.
-    """
-
-    start: np.ndarray
-    """(n,) [rad or m]."""
     goals: np.ndarray
     """(k, n) [rad or m]."""
-    sequences: tuple[tuple[CodeSequence, ...], ...]
-    """Of each goal, finished or not."""
+    sequences: tuple[CodeSequence, ...]
+    """To each goal, finished or not."""
     codes: np.ndarray
     """(c,) int64, indices into the dictionary."""
     goal_of: np.ndarray
     """(c,) int64, the goal each code is for."""
     z: np.ndarray
     """(c, code_dim), the codes' vectors of unit length; what the latent optimizer moves."""
-    refinement: Refinement | None
-    """What the model adds to each code's Gaussian; None when it has no refinement head."""
-    mean_u: np.ndarray
-    """(c, n), normalised joints."""
-    covariance_u: np.ndarray
-    """(c, n, n), normalised joints."""
     means: np.ndarray
     """(c, n) [rad]."""
     covariances: np.ndarray
@@ -46,48 +35,25 @@ class Prediction:
 
     @property
     def unfinished(self) -> tuple[int, ...]:
-        """Goals none of whose sequences reached the goal token; they have no codes."""
-        return tuple(
-            goal for goal, found in enumerate(self.sequences) if not any(one.finished for one in found)
-        )
+        """Goals whose sequence did not reach the goal token; they have no codes."""
+        return tuple(goal for goal, found in enumerate(self.sequences) if not found.finished)
 
 
 @dataclass(frozen=True, eq=False)
 class CodeUnion:
-    """Codes of each goal's finished sequences, and where each was found."""
+    """Codes of the finished sequences."""
 
     codes: np.ndarray
     """(c,) int64."""
     goal_of: np.ndarray
     """(c,) int64, the goal each code is for."""
-    sequence: np.ndarray
-    """(c,) int64, the row of `padded` it was found in ..."""
-    place: np.ndarray
-    """(c,) int64, ... and its place there."""
-    padded: np.ndarray
-    """(s, t) int64, the sequences that are used."""
-    goal_of_sequence: np.ndarray
-    """(s,) int64."""
 
     @classmethod
-    def of(cls, sequences: tuple[tuple[CodeSequence, ...], ...], repeated: bool = False) -> "CodeUnion":
-        """The union for each goal, its likeliest sequence first; repeated codes count once unless `repeated`."""
-        entries: list[tuple[int, int, int, int]] = []
-        used: list[tuple[int, tuple[int, ...]]] = []
-        for goal, found in enumerate(sequences):
-            seen: set[int] = set()
-            finished = [one for one in found if one.finished]
-            for one in sorted(finished, key=lambda sequence: -sequence.log_probability):
-                count = len(entries)
-                for spot, key in enumerate(one.codes):
-                    if repeated or key not in seen:
-                        seen.add(key)
-                        entries.append((key, goal, len(used), spot))
-                if len(entries) > count:
-                    used.append((goal, one.codes))
-        padded = np.zeros((len(used), max((len(codes) for _, codes in used), default=0)), dtype=np.int64)
-        for row, (_, codes) in enumerate(used):
-            padded[row, : len(codes)] = codes
-        code, goal_of, sequence, place = np.array(entries, dtype=np.int64).reshape(-1, 4).T
-        goal_of_sequence = np.array([goal for goal, _ in used], dtype=np.int64)
-        return cls(code, goal_of, sequence, place, padded, goal_of_sequence)
+    def of(cls, sequences: list[CodeSequence], repeated: bool = False) -> Self:
+        """The codes to each goal in order; those that a sequence repeats count once unless `repeated`."""
+        of_goal = [
+            (one.codes if repeated else tuple(dict.fromkeys(one.codes))) if one.finished else ()
+            for one in sequences
+        ]
+        codes = np.array([code for codes in of_goal for code in codes], dtype=np.int64)
+        return cls(codes, np.repeat(np.arange(len(of_goal)), [len(codes) for codes in of_goal]))

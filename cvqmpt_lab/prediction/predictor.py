@@ -3,23 +3,17 @@
 import hashlib
 import time
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, require_torch
-from cvqmpt_lab.models.decoding.beam_search import CodeSequence, beam_search, sample_sequences
-from cvqmpt_lab.models.decoding.step_decoder import StepDecoder
+from cvqmpt_lab.models.decoding.beam_search import beam_search
+from cvqmpt_lab.models.point_cloud.clouds import checked_cloud
 from cvqmpt_lab.models.stored import StoredModel
-from cvqmpt_lab.prediction.cloud_encoder import checked_cloud
-from cvqmpt_lab.prediction.code_decoder import CodeDecoder, Refinement
-from cvqmpt_lab.prediction.code_encoder import code_vectors
-from cvqmpt_lab.prediction.codebook import widened
-from cvqmpt_lab.prediction.compact_network import CompactNetwork
-from cvqmpt_lab.prediction.configurations import ModelConfigurations
+from cvqmpt_lab.prediction.codebook import Codebook, widened
 from cvqmpt_lab.prediction.prediction import CodeUnion, Prediction
 from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.robot.robot import Robot
@@ -44,37 +38,8 @@ class EncodedScene:
     """What encoding took this time."""
 
 
-class SequenceNetwork(Protocol):
-    """A sequence model as prediction uses it; starts, goals: (q, configuration_dim) float32."""
-
-    def encode_scene(self, points: np.ndarray) -> Any:
-        """A cloud (m, 3) float32 [m] as its other methods take it."""
-
-    def decoder(self, scene: Any, starts: np.ndarray, goals: np.ndarray) -> StepDecoder:
-        """What a search of code sequences asks."""
-
-    def refinement(
-        self, scene: Any, starts: np.ndarray, goals: np.ndarray, union: CodeUnion
-    ) -> Refinement | None:
-        """Shift and width of each code's Gaussian; None from models that have no such head."""
-
-
-def _published(model: StoredModel) -> SequenceNetwork:
-    require_torch("a model of kind 'published'")
-    from cvqmpt_lab.prediction.published_network import PublishedNetwork
-
-    return PublishedNetwork(model)
-
-
-NETWORKS: dict[str, Callable[[StoredModel], SequenceNetwork]] = {
-    "compact": CompactNetwork,
-    "published": _published,
-}
-"""By `ModelConfig.kind`."""
-
-
 class Predictor:
-    """A trained VQ-MPT model at work for one robot, on the CPU."""
+    """A trained VQ-MPT model of kind "published" at work for one robot, on the CPU."""
 
     def __init__(self, model: StoredModel, robot: Robot, settings: PredictorSettings | None = None) -> None:
         """Take over a model's weights; `prediction.weights.load_vq_mpt` reads them.
@@ -82,15 +47,16 @@ class Predictor:
         Raises
         ------
         InvalidInputError
-            When it has no sequence model, belongs to another robot, its link features do, or its weights do not
-            fit its configuration.
+            When it has no sequence model, belongs to another robot, or its weights do not fit its configuration.
         """
         model.part("sequence_model")
+        require_torch("a sequence model of kind 'published'")
+        from cvqmpt_lab.prediction.published_network import PublishedNetwork
+
         self.settings = PredictorSettings() if settings is None else settings
-        self.robot, self.configurations = robot, ModelConfigurations(model, robot)
-        self.decoder, self.vectors = CodeDecoder(model), code_vectors(model)
-        self._network = NETWORKS[model.config.kind](model)
-        self._length = self.settings.max_length or model.config.sequence.max_length
+        self.robot, self.codebook = robot, Codebook(model, robot)
+        self._network = PublishedNetwork(model)
+        self._length = self.settings.max_length or model.config.stage2[1].max_length
         self._scenes: OrderedDict[str, Any] = OrderedDict()
 
     def encode_scene(self, cloud: np.ndarray) -> EncodedScene:
@@ -113,12 +79,8 @@ class Predictor:
                 self._scenes.popitem(last=False)
         return EncodedScene(self._scenes[key], cached, time.perf_counter() - began)
 
-    def predict(
-        self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, rng: np.random.Generator
-    ) -> Prediction:
+    def predict(self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> Prediction:
         """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
-
-        `rng` is drawn from when decoding is ``sampled``.
 
         Raises
         ------
@@ -128,27 +90,26 @@ class Predictor:
         start, goals = self._checked(start, goals)
         encoded = self.encode_scene(cloud)
         began = time.perf_counter()
-        ends = self.configurations.of(np.vstack((start[None], goals)))
+        settings = self.settings
+        ends = self.codebook.configurations.of(np.vstack((start[None], goals)))
         starts, ends = ends[:1].repeat(len(goals), axis=0), ends[1:]
-        sequences = self._decode(self._network.decoder(encoded.scene, starts, ends), rng)
-        union = CodeUnion.of(sequences, self.settings.repeated_codes)
-        refinement = self._network.refinement(encoded.scene, starts, ends, union)
-        z = self.vectors[union.codes]
-        gaussians = self.decoder.decode(z, refinement)
-        mean, covariance = gaussians.mean.astype(np.float64), gaussians.covariance
-        span = self.configurations.range
+        sequences = beam_search(
+            self._network.decoder(encoded.scene, starts, ends),
+            beams=settings.beams,
+            max_length=self._length,
+            scoring=settings.scoring,
+        )
+        union = CodeUnion.of(sequences, settings.repeated_codes)
+        z = self.codebook.vectors[union.codes]
+        means, covariances = self.codebook.gaussians(z)
         return Prediction(
-            start=start,
             goals=goals,
-            sequences=sequences,
+            sequences=tuple(sequences),
             codes=union.codes,
             goal_of=union.goal_of,
             z=z,
-            refinement=refinement,
-            mean_u=mean,
-            covariance_u=covariance,
-            means=self.configurations.radians(mean),
-            covariances=covariance * span * span[:, None],
+            means=means,
+            covariances=covariances,
             encode_seconds=encoded.seconds,
             predict_seconds=time.perf_counter() - began,
             cached=encoded.cached,
@@ -164,14 +125,12 @@ class Predictor:
         z
             (c, code_dim): the prediction's codes after optimization; None to leave them.
         """
-        settings, span = self.settings, self.configurations.range
+        settings, span = self.settings, self.codebook.configurations.range
         means, covariances = prediction.means, prediction.covariances
         if z is not None:
             if np.shape(z) != prediction.z.shape:
                 raise InvalidInputError(f"codes of shape {np.shape(z)}; expected {prediction.z.shape}")
-            gaussians = self.decoder.decode(z, prediction.refinement)
-            means = self.configurations.radians(gaussians.mean.astype(np.float64))
-            covariances = gaussians.covariance * span * span[:, None]
+            means, covariances = self.codebook.gaussians(z)
         covariances = widened(covariances, max(settings.std_floor or 0.0, SMALLEST_STD))
         if settings.goal_gaussian and not (settings.uniform_without_codes and len(means) == 0):
             goals = prediction.goals
@@ -179,17 +138,6 @@ class Predictor:
             means, covariances = np.concatenate((means, goals)), np.concatenate((covariances, around))
         uniform = Uniform(self.robot.lower, self.robot.upper)
         return GaussianMixture.equal(means, covariances, uniform, settings.uniform_share, settings.name)
-
-    def _decode(self, decoder: StepDecoder, rng: np.random.Generator) -> tuple[tuple[CodeSequence, ...], ...]:
-        settings, length = self.settings, self._length
-        if settings.decoding == "beam":
-            found = beam_search(decoder, beams=settings.beams, max_length=length, scoring=settings.scoring)
-            return tuple((one,) for one in found)
-        return tuple(
-            sample_sequences(
-                decoder, settings.sequences, rng, temperature=settings.temperature, max_length=length
-            )
-        )
 
     def _checked(self, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start (n,) and goals (k, n) as float64."""

@@ -5,17 +5,17 @@ import torch
 
 from cvqmpt_lab.models.checkpoint import as_modules
 from cvqmpt_lab.models.decoding.step_decoder import StepDecoder
-from cvqmpt_lab.models.published.sequence_model import PublishedScene, PublishedSequenceModel
+from cvqmpt_lab.models.published.sequence_model import PublishedScene
 from cvqmpt_lab.models.stored import StoredModel
-from cvqmpt_lab.prediction.prediction import CodeUnion
 
 
 class PublishedNetwork:
-    """A sequence model of the published kind; see `predictor.SequenceNetwork`."""
+    """A sequence model of the published kind as prediction uses it."""
 
     def __init__(self, model: StoredModel) -> None:
+        """Take the weights over; raises InvalidInputError when they do not fit their configuration."""
         checkpoint = as_modules(model)
-        assert isinstance(checkpoint.sequence_model, PublishedSequenceModel)
+        assert checkpoint.sequence_model is not None
         self._dictionary, self._model = checkpoint.dictionary, checkpoint.sequence_model
 
     @torch.inference_mode()
@@ -27,11 +27,6 @@ class PublishedNetwork:
     def decoder(self, scene: PublishedScene, starts: np.ndarray, goals: np.ndarray) -> StepDecoder:
         """What a search of code sequences asks, for starts and goals (q, joint_dim)."""
         return self._model.decoder(self._dictionary, scene, torch.from_numpy(starts), torch.from_numpy(goals))
-
-    def refinement(
-        self, scene: PublishedScene, starts: np.ndarray, goals: np.ndarray, union: CodeUnion
-    ) -> None:
-        """None: it has no such head."""
 
 
 @torch.inference_mode()

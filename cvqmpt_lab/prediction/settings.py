@@ -1,12 +1,10 @@
 """How sequences are decoded and what the mixture is made of: our choices, and the authors'."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.models.decoding.beam_search import Scoring
-
-Decoding = Literal["beam", "sampled"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,16 +14,10 @@ class PredictorSettings:
     Defaults were chosen on the tuning environments; the authors' are `AS_PUBLISHED`.
     """
 
-    decoding: Decoding = "beam"
-    """``beam``, one sequence per goal, or ``sampled``, the union of several."""
     beams: int = 3
     """K of the paper's eqn. prob_eqn."""
     scoring: Scoring = "log-probability"
     """What beams are ranked by, see `beam_search`."""
-    sequences: int = 8
-    """Sampled sequences per goal."""
-    temperature: float = 1.0
-    """How boldly they are sampled."""
     max_length: int | None = None
     """Tokens predicted at most, the goal token included; None for the model's own length."""
     goal_gaussian: bool = True
@@ -43,10 +35,9 @@ class PredictorSettings:
     name: str = "cvq-mpt"
 
     def __post_init__(self) -> None:
-        for name, value, kinds in (("decoding", self.decoding, Decoding), ("scoring", self.scoring, Scoring)):
-            if value not in get_args(kinds):
-                raise UnknownChoiceError(name, value, get_args(kinds))
-        for name in ("beams", "sequences", "scenes"):
+        if self.scoring not in get_args(Scoring):
+            raise UnknownChoiceError("scoring", self.scoring, get_args(Scoring))
+        for name in ("beams", "scenes"):
             if getattr(self, name) < 1:
                 raise InvalidInputError(f"{name} of the predictor is {getattr(self, name)}; give at least 1")
         if not 0.0 <= self.uniform_share <= 1.0:

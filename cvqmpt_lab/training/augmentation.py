@@ -33,14 +33,10 @@ class BaseTurn:
         shift = -self.least[paths] + place * (1.0 - self.most[paths] + self.least[paths])
         return shift if self.active else np.zeros(len(paths))
 
-    def joints(self, u: np.ndarray, angle: float, *, wrap: bool = False) -> np.ndarray:
-        """Turn normalised joints u (..., n) by an angle [rad]; `wrap` by a whole turn what leaves the limits."""
+    def joints(self, u: np.ndarray, angle: float) -> np.ndarray:
+        """Turn normalised joints u (..., n) by an angle [rad]."""
         u = np.array(u, dtype=np.float32)
         u[..., 0] += np.float32(angle / self._range)
-        if wrap:
-            turn = 2.0 * math.pi / self._range
-            first = u[..., 0]
-            u[..., 0] = np.where(first > 1.0, first - turn, np.where(first < 0.0, first + turn, first))
         return u
 
 

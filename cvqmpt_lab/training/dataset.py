@@ -17,7 +17,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.models.serial_chain import SerialChain
-from cvqmpt_lab.training.paths import Labels, Paths, Scenes, Shapes, thinned
+from cvqmpt_lab.training.paths import Paths, Scenes, Shapes, thinned
 from cvqmpt_lab.training.roadmap_paths import path_arrays
 from cvqmpt_lab.training.roadmap_shards import ROADMAP_FILE, read_roadmap_shards
 from cvqmpt_lab.training.shards import (
@@ -151,8 +151,6 @@ def _scenes(shards: list[Arrays]) -> Scenes:
             _together(shards, "shape_size").astype(np.float32),
             _together(shards, "shape_pose").astype(np.float32),
         ),
-        probes=_labels(shards, "probe"),
-        edges=_labels(shards, "edge"),
     )
 
 
@@ -189,12 +187,3 @@ def _ranges(shards: list[Arrays], name: str, items: str) -> np.ndarray:
     offsets = _offsets(shards, items)
     starts = [s[name][:-1].astype(np.int64) + o for s, o in zip(shards, offsets, strict=False)]
     return np.concatenate([*starts, offsets[-1:]])
-
-
-def _labels(shards: list[Arrays], name: str) -> Labels | None:
-    """As many labels of each scene as every shard has."""
-    joints, free = f"{name}_q", f"{name}_free"
-    least = min(shard[joints].shape[1] if joints in shard else 0 for shard in shards)
-    if least == 0:
-        return None
-    return Labels(*(np.concatenate([shard[part][:, :least] for shard in shards]) for part in (joints, free)))

@@ -7,7 +7,6 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from cvqmpt_lab.models.dictionary.dictionary import DictionaryOutput
-from cvqmpt_lab.models.dictionary.gaussian_decoder import Gaussians
 from cvqmpt_lab.models.dictionary.quantizer import Quantized
 
 
@@ -78,13 +77,3 @@ def sequence_loss(logits: Tensor, targets: Tensor, trajectories: int) -> Tensor:
         What the sum is divided by.
     """
     return F.cross_entropy(logits, targets, reduction="sum") / trajectories
-
-
-def refinement_loss(gaussians: Gaussians, u: Tensor, visible: Tensor) -> Tensor:
-    """Mean negative log likelihood of waypoints u (b, t, joint_dim) under the Gaussian of their step."""
-    return -gaussians.log_prob(u)[visible].mean()
-
-
-def binary_loss(logits: Tensor, labels: Tensor) -> Tensor:
-    """Cross entropy of the collision or connectivity head against labels (True: free), mean."""
-    return F.binary_cross_entropy_with_logits(logits, labels.to(logits.dtype))

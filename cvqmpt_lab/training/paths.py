@@ -9,16 +9,6 @@ from cvqmpt_lab.training.shards import FULL_SCALE
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
-    """Labelled configurations, or motions, of each of s scenes."""
-
-    joints: np.ndarray
-    """(s, c, n), or (s, c, 2, n) of motions: uint16."""
-    free: np.ndarray
-    """(s, c) bool."""
-
-
-@dataclass(frozen=True, eq=False)
 class Shapes:
     """Boxes, cylinders and spheres, m of them."""
 
@@ -45,10 +35,6 @@ class Scenes:
     """(s + 1,) int64: ranges into the shapes."""
     shape: Shapes
     """Of all scenes."""
-    probes: Labels | None
-    """Labelled configurations; None when a shard has none."""
-    edges: Labels | None
-    """Labelled straight motions; None when a shard has none."""
 
     def __len__(self) -> int:
         return len(self.seed)

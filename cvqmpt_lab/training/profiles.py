@@ -24,15 +24,18 @@ class Profile:
     """Sizes; joints and features are the dataset's (`model_for`)."""
     mpnet_model: sizes.MPNetConfig
     stage1: Stage1Settings
-    stage2: Stage2Settings
+    stage2: Stage2Settings | None
+    """None where the model is of a kind without a sequence model."""
     mpnet: MPNetSettings
 
     def __post_init__(self) -> None:
+        if (self.stage2 is None) != (self.model.sequence is None):
+            raise InvalidInputError("give stage2 to a model with a sequence, and null to one without")
         if self.mpnet.batches.cloud.points != self.mpnet_model.n_points:
             raise InvalidInputError("mpnet.batches.cloud.points must equal mpnet_model.n_points")
 
     def model_for(self, dataset: PathDataset) -> sizes.ModelConfig:
-        """The model for a dataset: its joints and features; heads only where it has labels for them.
+        """The model for a dataset: its joints and features.
 
         Raises
         ------
@@ -45,13 +48,7 @@ class Profile:
                 "set link_features to false"
             )
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
-        sequence = self.model.sequence
-        sequence = replace(
-            sequence,
-            collision_head=sequence.collision_head and dataset.scenes.probes is not None,
-            connectivity_head=sequence.connectivity_head and dataset.scenes.edges is not None,
-        )
-        return replace(self.model, joint_dim=dataset.joint_dim, feature_dim=feature_dim, sequence=sequence)
+        return replace(self.model, joint_dim=dataset.joint_dim, feature_dim=feature_dim)
 
     def mpnet_model_for(self, dataset: PathDataset) -> sizes.MPNetConfig:
         """The network for a dataset."""
@@ -59,7 +56,7 @@ class Profile:
 
 
 def _compact() -> Profile:
-    """The model that ships."""
+    """The dictionary and MPNet that ship."""
     cloud = CloudSettings(points=1024)
     batches = SceneBatchSettings(scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud)
     return Profile(
@@ -78,13 +75,7 @@ def _compact() -> Profile:
             restart_epochs=7,
             optimizer=OptimizerSettings(rate=2e-3, schedule="cosine", clip=1000.0),
         ),
-        stage2=Stage2Settings(
-            epochs=10,
-            batches=batches,
-            optimizer=OptimizerSettings(
-                rate=1e-3, warmup=500, schedule="cosine", epsilon=1e-8, weight_decay=0.01, clip=50.0
-            ),
-        ),
+        stage2=None,
         mpnet=MPNetSettings(
             epochs=10,
             batches=replace(batches, spacing=0.5, batches_per_epoch=300),  # clouds have n_points points, too
@@ -94,49 +85,47 @@ def _compact() -> Profile:
 
 
 def _smoke() -> Profile:
-    """Both stages in less than two minutes on two busy cores: shows that everything runs, no more."""
+    """The published architecture, small, all stages in minutes on a busy core: shows that everything runs, no more."""
     small = sizes.TransformerConfig(
         n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1
     )
-    compact = _compact()
     points = sizes.PointCloudConfig(
-        max_points=256,
-        sa1=sizes.SetAbstractionConfig(count=64, radius=0.25, max_neighbours=8, widths=(16, 32)),
-        sa2=sizes.SetAbstractionConfig(count=16, radius=0.6, max_neighbours=16, widths=(48, 48)),
+        sa1=sizes.SetAbstractionConfig(ratio=0.25, radius=0.25, max_neighbours=8, widths=(16, 32)),
+        sa2=sizes.SetAbstractionConfig(ratio=0.25, radius=0.6, max_neighbours=16, widths=(48, 48)),
     )
-    model = replace(
-        compact.model,
-        dictionary=replace(compact.model.dictionary, transformer=small, n_codes=128),
-        point_cloud=points,
-        sequence=replace(compact.model.sequence, transformer=small),
-    )
-    batches = replace(
-        compact.stage2.batches,
+    cloud = CloudSettings(points=256)
+    batches = SceneBatchSettings(
         scenes=8,
         paths_per_scene=4,
         batches_per_epoch=40,
-        cloud=CloudSettings(points=256),
+        spacing=0.2,
+        turn_base=True,
+        cloud=cloud,
         validation_paths=64,
     )
-    quick = replace(compact.stage2.optimizer, rate=3e-3, warmup=20)
+    quick = OptimizerSettings(rate=2e-3, warmup=20, schedule="cosine", clip=50.0)
     return Profile(
         name="smoke",
-        link_features=True,
-        model=model,
+        link_features=False,
+        model=sizes.ModelConfig(
+            dictionary=sizes.DictionaryConfig(transformer=small, n_codes=128, decoder_dropout=0.0),
+            point_cloud=points,
+            sequence=sizes.SequenceConfig(context=small, transformer=small),
+        ),
         mpnet_model=sizes.MPNetConfig(
             n_points=256, encoder_widths=(128, 64), code_dim=28, planner_widths=(256, 128, 64), dropout=0.2
         ),
-        stage1=replace(
-            compact.stage1,
+        stage1=Stage1Settings(
             epochs=3,
             batch=16,
+            spacing=0.2,
             batches_per_epoch=100,
-            restart_every=50,
-            restart_epochs=2,
+            turn_base=True,
             validation_paths=100,
+            optimizer=quick,
         ),
-        stage2=replace(compact.stage2, epochs=3, batches=batches, optimizer=quick),
-        mpnet=replace(compact.mpnet, epochs=3, batches=replace(batches, spacing=0.5)),
+        stage2=Stage2Settings(epochs=3, batches=batches, optimizer=quick),
+        mpnet=replace(_compact().mpnet, epochs=3, batches=replace(batches, spacing=0.5)),
     )
 
 

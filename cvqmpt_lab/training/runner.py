@@ -15,7 +15,7 @@ from cvqmpt_lab.models.weights_folder import checkpoint_folder, recover_weights,
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.loop import Limits, Tick, TrainingEnd, train
 from cvqmpt_lab.training.mpnet import MPNetStage
-from cvqmpt_lab.training.profiles import Profile
+from cvqmpt_lab.training.profiles import PROFILES, Profile
 from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.run_folder import RunFolder
 from cvqmpt_lab.training.stage import Stage
@@ -57,9 +57,15 @@ def _stage1(request: Request, dataset: PathDataset, device: torch.device) -> Sta
 
 
 def _stage2(request: Request, dataset: PathDataset, device: torch.device) -> Stage:
-    profile, dictionary = request.profile, load_dictionary(request.dictionary)
-    config = profile.model_for(dataset)
-    return Stage2(dataset, dictionary, config, profile.stage2, request.seed, device)
+    profile = request.profile
+    if profile.stage2 is None:
+        own = ", ".join(name for name, one in PROFILES.items() if one.stage2 is not None)
+        raise InvalidInputError(
+            f"profile {profile.name!r} has no stage2: its models are shown sequences by train sequences; "
+            f"profiles with one: {own}"
+        )
+    dictionary = load_dictionary(request.dictionary)
+    return Stage2(dataset, dictionary, profile.model_for(dataset), profile.stage2, request.seed, device)
 
 
 def _mpnet(request: Request, dataset: PathDataset, device: torch.device) -> Stage:

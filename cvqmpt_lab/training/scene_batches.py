@@ -8,7 +8,7 @@ from torch.utils.data import Dataset
 from cvqmpt_lab.models.config import require_sizes
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.paths import Labels, unpacked, with_few_trivial
+from cvqmpt_lab.training.paths import with_few_trivial
 from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
 
 _SIDE_NOISE = 0.4
@@ -30,10 +30,6 @@ class SceneBatchSettings:
     """Of paths whose straight line is free, at most."""
     turn_base: bool = False
     """Turn scene and paths alike about the base."""
-    probes: int = 24
-    """Labelled configurations of each scene, where the dataset has them."""
-    edges: int = 24
-    """Labelled motions, likewise."""
     cloud: CloudSettings = field(default_factory=CloudSettings)
     validation_paths: int = 512
     """At most."""
@@ -77,8 +73,7 @@ def grouped_by_scene(
 class SceneBatches(Dataset):
     """Batches as dictionaries of arrays.
 
-    scene (s,); cloud (s, points, 3) [m]; u (s p, t, n), counts (s p,), weight (s p,) bool; with labels also probe_u
-    (s, c, n), probe_free (s, c), edge_u (s, e, 2, n), edge_free (s, e). Paths are grouped by scene.
+    scene (s,); cloud (s, points, 3) [m]; u (s p, t, n), counts (s p,), weight (s p,) bool. Paths are grouped by scene.
     """
 
     def __init__(
@@ -142,28 +137,16 @@ class SceneBatches(Dataset):
         angles = [0.0 if self._turn is None else self._turn.draw(group, rng) for group in rows]
         clouds = [sample_cloud(self._dataset.scenes.shapes(int(scene)), self._cloud, rng) for scene in scenes]
         u, counts = paths.padded(rows.ravel())
-        result = {
+        if self._turn is not None:
+            turns = zip(u.reshape(*rows.shape, *u.shape[1:]), angles, strict=True)
+            u = np.concatenate([self._turn.joints(part, angle) for part, angle in turns])
+        return {
             "cloud": np.stack([turned(cloud, angle) for cloud, angle in zip(clouds, angles, strict=True)]),
-            "u": np.concatenate(self._turned(u.reshape(*rows.shape, *u.shape[1:]), angles)),
+            "u": u,
             "counts": counts,
             "weight": (groups >= 0).ravel(),
             "scene": scenes,
         }
-        for name, labels, most in (
-            ("probe", self._dataset.scenes.probes, self._settings.probes),
-            ("edge", self._dataset.scenes.edges, self._settings.edges),
-        ):
-            if labels is not None and most > 0:
-                joints, free = _drawn(labels, scenes, most, rng)
-                result[f"{name}_u"] = np.stack(self._turned(joints, angles, wrap=name == "probe"))
-                result[f"{name}_free"] = free
-        return result
-
-    def _turned(self, u: np.ndarray, angles: list[float], *, wrap: bool = False) -> list[np.ndarray]:
-        """Normalised joints of each scene, turned."""
-        if self._turn is None:
-            return list(u)
-        return [self._turn.joints(part, a, wrap=wrap) for part, a in zip(u, angles, strict=True)]
 
 
 def other_scenes(scene: np.ndarray) -> np.ndarray | None:
@@ -173,15 +156,6 @@ def other_scenes(scene: np.ndarray) -> np.ndarray | None:
     count = len(scene)
     cycle = (np.arange(count)[:, None] + np.arange(count)) % count
     return cycle[np.arange(count), (scene[cycle] != scene[:, None]).argmax(1)]
-
-
-def _drawn(
-    labels: Labels, scenes: np.ndarray, most: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised joints (s, c, ..., n) and labels (s, c) of some of each scene's labelled ones."""
-    count = labels.free.shape[1]
-    chosen = rng.permutation(count)[:most]
-    return unpacked(labels.joints[scenes[:, None], chosen]), labels.free[scenes[:, None], chosen]
 
 
 def _rank_in_scene(scenes: np.ndarray) -> np.ndarray:

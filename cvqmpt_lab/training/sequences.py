@@ -16,10 +16,6 @@ class CodeSequences:
     """(b, t + 1) int64: the next code after the start token and after each code, the goal class after the last."""
     visible: Tensor
     """(b, t + 1) bool: False where there is nothing to predict."""
-    run: Tensor
-    """(b, w) int64: the code in the sequence that each waypoint belongs to."""
-    in_run: Tensor
-    """(b, w) bool: False for padded waypoints and those of codes beyond t."""
 
 
 def code_sequences(codes: Tensor, counts: Tensor, most: int, goal_class: int) -> CodeSequences:
@@ -48,13 +44,10 @@ def code_sequences(codes: Tensor, counts: Tensor, most: int, goal_class: int) ->
     place = torch.arange(w, device=codes.device)
     backwards = packed.gather(1, (lengths[:, None] - 1 - place) % w)
     both = torch.stack((packed, backwards), 1).flatten(0, 1)
-    runs = torch.stack((run, (lengths[:, None] - 1 - run).clamp(min=0)), 1).flatten(0, 1)
-    lengths, real = lengths.repeat_interleave(2), real.repeat_interleave(2, 0)
+    lengths = lengths.repeat_interleave(2)
     t = min(int(lengths.max()), most)
     step = torch.arange(w + 1, device=codes.device)
     targets = torch.cat((both, both[:, :1]), 1).masked_fill(step == lengths[:, None], goal_class)
     visible = step <= lengths[:, None]
     both = both.masked_fill(place >= lengths[:, None], 0)
-    return CodeSequences(
-        both[:, :t], targets[:, : t + 1], visible[:, : t + 1], runs.clamp(max=t - 1), real & (runs < t)
-    )
+    return CodeSequences(both[:, :t], targets[:, : t + 1], visible[:, : t + 1])

@@ -13,8 +13,6 @@ As ``cvqmpt data generate`` writes it::
         waypoints (w,n) uint16: u * 65535, at most 0.13 rad apart along a path
         length, straight (p,) float32 [rad]; trivial (p,) bool: the straight line is free
         twin_of (p,) int32: row of the path in this shard of which this is a second label, or -1
-        probe_q (s,c,n) uint16, probe_free (s,c) bool: optional, configurations and whether they are free
-        edge_q (s,e,2,n) uint16, edge_free (s,e) bool: optional, straight motions and whether they are free
 """
 
 import hashlib
@@ -54,7 +52,6 @@ _REQUIRED = {
     "trivial": (1, "b"),
     "twin_of": (1, "i"),
 }
-_OPTIONAL = {"probe_q": (3, "u"), "probe_free": (2, "b"), "edge_q": (4, "u"), "edge_free": (2, "b")}
 """Dimensions and kinds of numbers (numpy's letters) of every array."""
 
 
@@ -174,9 +171,7 @@ def read_shard(folder: Path, row: IndexRow, joints: int, families: int, *, verif
             arrays = {name: file[name] for name in file.files}
     except Exception as error:  # what a damaged archive raises depends on the byte
         raise InvalidInputError(f"{path} is not a readable shard: {error}") from error
-    for name, (dimensions, kinds) in (
-        _REQUIRED | {n: _OPTIONAL[n] for n in _OPTIONAL if n in arrays}
-    ).items():
+    for name, (dimensions, kinds) in _REQUIRED.items():
         if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in kinds:
             raise InvalidInputError(f"{path}: array {name} is missing or not as described")
     wrong = [name for name, passes in _checks(arrays, row, joints, families) if not passes]
@@ -204,12 +199,6 @@ def _checks(arrays: Arrays, row: IndexRow, joints: int, families: int) -> Iterat
     yield "twin_of", len(arrays["twin_of"]) == p and _within(arrays["twin_of"], -1, p)
     for name in ("length", "straight", "trivial"):
         yield name, len(arrays[name]) == p and _are_finite(arrays[name])
-    for name in ("probe", "edge"):
-        q, free = arrays.get(f"{name}_q"), arrays.get(f"{name}_free")
-        if q is not None:
-            yield f"{name}_q", q.dtype == np.uint16 and (len(q), q.shape[-1]) == (s, joints)
-            yield f"{name}_free", free is not None and free.shape == q.shape[:2]
-            yield f"{name}_q", name == "probe" or q.shape[2] == 2
 
 
 def _within(values: np.ndarray, lower: int, upper: int) -> bool:

@@ -13,7 +13,6 @@ from torch.utils.data import Dataset
 from cvqmpt_lab.models.checkpoint import Trained
 from cvqmpt_lab.training.augmentation import BaseTurn
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.run_folder import Progress
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, other_scenes
@@ -56,11 +55,6 @@ class Stage(ABC):
         self.turn = BaseTurn(self.dataset, turn_base)
         self.optimizer, self.seed, self.device = optimizer, seed, device
         torch.manual_seed(seed)
-
-    def link_positions(self, feature_dim: int) -> LinkPositions:
-        """What makes configurations of joints, for a model that takes `feature_dim` features."""
-        robot, chain = self.dataset.robot, self.dataset.chain if feature_dim else None
-        return LinkPositions(robot.lower, robot.upper, chain, self.device)
 
     def prepare(self) -> None:  # noqa: B027 (most stages have nothing to prepare)
         """Once, before the first step of a training."""

@@ -13,6 +13,7 @@ from cvqmpt_lab.models.checkpoint import Checkpoint
 from cvqmpt_lab.models.config import ModelConfig, require_sizes
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.training.dataset import PathDataset
+from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.losses import stage1_loss
 from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.paths import unpacked, with_few_trivial
@@ -135,7 +136,8 @@ class Stage1(Stage):
         super().__init__(dataset, settings.spacing, settings.turn_base, settings.optimizer, seed, device)
         self.config, self.settings = config, settings
         self.module = _Trainee(config).to(device)
-        self._links = self.link_positions(config.feature_dim)
+        robot, chain = self.dataset.robot, self.dataset.chain if config.feature_dim else None
+        self._links = LinkPositions(robot.lower, robot.upper, chain, device)
         self._latents = torch.empty(0)
 
     def prepare(self) -> None:

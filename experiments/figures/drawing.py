@@ -16,9 +16,9 @@ from cvqmpt_lab.files import write_bytes
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import still_image
+from experiments.figures.code_update import FAR, NEAR
 from experiments.figures.hand_poses import HandPoses
 from experiments.figures.histogram import CodeChange
-from experiments.figures.latent_update import FAR, NEAR
 
 BEFORE, AFTER = "#8c96a3", "#1f6fb4"
 FORMATS = ("png", "svg")

@@ -7,8 +7,8 @@ import numpy as np
 
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.show.meshes import poses_along
+from experiments.figures.code_update import CodeUpdate
 from experiments.figures.histogram import write_csv
-from experiments.figures.latent_update import LatentUpdate
 
 NUMBERS = ("x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
 
@@ -40,7 +40,6 @@ class HandChange:
     """Hands at the same draws of a code's Gaussian before and after."""
 
     code: int
-    goal: int
     before: HandPoses
     after: HandPoses
     g_before: np.ndarray
@@ -62,16 +61,15 @@ class HandChange:
         ]
 
 
-def hand_change(update: LatentUpdate, index: int, count: int = 120) -> HandChange:
-    """The first draws of a code, which is counted in the prediction's."""
+def hand_change(update: CodeUpdate, index: int, count: int = 120) -> HandChange:
+    """The first draws of a code, which is counted among the predicted."""
     noise = update.noise[:count]
     before, after = (
         HandPoses.of(update.problem.robot, gaussians.draws(index, noise))
         for gaussians in (update.before, update.after)
     )
     return HandChange(
-        code=int(update.prediction.codes[index]),
-        goal=int(update.prediction.goal_of[index]),
+        code=int(update.codes[index]),
         before=before,
         after=after,
         g_before=update.g_before[index, :count],
@@ -87,7 +85,6 @@ def write_hands(change: HandChange, path: Path) -> Path:
         for i in range(len(g)):
             numbers = map(float, (*hands.positions[i], *hands.up[i], hands.tilt[i], g[i]))
             rows.append(
-                {"code": change.code, "goal": change.goal, "when": when, "draw": i}
-                | dict(zip(NUMBERS, numbers, strict=True))
+                {"code": change.code, "when": when, "draw": i} | dict(zip(NUMBERS, numbers, strict=True))
             )
     return write_csv(path, rows)

@@ -1,4 +1,4 @@
-"""Histograms of F^T F before and after the latent update, and how tight the Markov bound on its tail is.
+"""Histograms of F^T F before and after the update of codes, and how tight the Markov bound on its tail is.
 
 The paper's figure shows two dictionary values predicted for the place task, one far from the constraint and
 one near it; its equation `markov` bounds the share of draws with F^T F >= k by G / k, G their mean.
@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from experiments.figures.latent_update import LatentUpdate
+from experiments.figures.code_update import CodeUpdate
 
 BINS = 40
 SHOWN = 0.99
@@ -88,7 +88,6 @@ class CodeChange:
     """What the figure shows of one code."""
 
     code: int
-    goal: int
     role: str
     histogram: Histogram
     before: MarkovTail
@@ -99,18 +98,17 @@ class CodeChange:
     @property
     def name(self) -> dict[str, object]:
         """The cells that begin its rows."""
-        return {"code": self.code, "goal": self.goal, "role": self.role}
+        return {"code": self.code, "role": self.role}
 
 
-def code_changes(update: LatentUpdate) -> list[CodeChange]:
+def code_changes(update: CodeUpdate) -> list[CodeChange]:
     """The far and the near code."""
     changes = []
     for role, index in update.representatives().items():
         before, after = update.g_before[index], update.g_after[index]
         changes.append(
             CodeChange(
-                code=int(update.prediction.codes[index]),
-                goal=int(update.prediction.goal_of[index]),
+                code=int(update.codes[index]),
                 role=role,
                 histogram=Histogram.of(before, after),
                 before=MarkovTail.of(before),
@@ -122,7 +120,7 @@ def code_changes(update: LatentUpdate) -> list[CodeChange]:
     return changes
 
 
-def write_tables(update: LatentUpdate, changes: Sequence[CodeChange], folder: Path) -> list[Path]:
+def write_tables(update: CodeUpdate, changes: Sequence[CodeChange], folder: Path) -> list[Path]:
     """Write the numbers of the figure and those of every predicted code; returns the files."""
     tables = (
         (HISTOGRAM_FILE, _histogram_rows(changes)),
@@ -143,19 +141,20 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
     return path
 
 
-def value_rows(update: LatentUpdate) -> list[dict[str, object]]:
-    """A row for every predicted code: mean of F^T F, share of draws where F is zero."""
+def value_rows(update: CodeUpdate) -> list[dict[str, object]]:
+    """A row for every predicted code: F^T F at its mean, mean of F^T F of draws, share of these where F is zero."""
     roles = {index: role for role, index in update.representatives().items()}
     return [
         {
-            "code": int(update.prediction.codes[i]),
-            "goal": int(update.prediction.goal_of[i]),
+            "code": int(update.codes[i]),
             "role": roles.get(i, ""),
+            "centre_before": float(update.centre_before[i]),
+            "centre_after": float(update.centre_after[i]),
             "g_before": float(before.mean()),
             "g_after": float(after.mean()),
             "satisfied_before": float((before == 0.0).mean()),
             "satisfied_after": float((after == 0.0).mean()),
-            "kept": int(update.optimized.kept[i]),
+            "kept": int(update.kept[i]),
         }
         for i, (before, after) in enumerate(zip(update.g_before, update.g_after, strict=True))
     ]

@@ -11,17 +11,17 @@ import numpy as np
 from cvqmpt_lab.errors import RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import make_folder, read_bytes, require_regular_file
 from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction.weights import SHIPPED, load_vq_mpt, resolve_model
+from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.training.shards import INDEX_FILE
+from experiments.figures.code_update import FAR, CodeUpdate, UpdateSettings, update_codes
 from experiments.figures.cost import draw_cost
 from experiments.figures.difficulty import draw_difficulty
 from experiments.figures.drawing import hand_figure, histogram_figure, save_figure
 from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
 from experiments.figures.hand_poses import hand_change, write_hands
 from experiments.figures.histogram import code_changes, write_tables
-from experiments.figures.latent_update import FAR, LatentUpdate, UpdateSettings, update_latents
 from experiments.figures.learning_curve import (
     LEARNING_CURVE,
     METHODS,
@@ -52,7 +52,7 @@ class FigureRequest:
             raise UnknownChoiceError("figure", self.figure, [*FIGURES, NAME, *ROW_FIGURES])
 
 
-def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[LatentUpdate, list[Path]]:
+def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[CodeUpdate, list[Path]]:
     """Predict, update, and write figure, tables and provenance into the request's folder.
 
     Raises
@@ -73,7 +73,7 @@ def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[La
     }
     session = provenance(command, [request.settings.seed], {MODEL: weights_digest(model)})
     record = _record(request.out, configuration, session)
-    update = update_latents(problem, load_vq_mpt(problem.robot, model), request.settings)
+    update = update_codes(problem, str(model), request.settings)
     record.create(configuration, session)
     return update, [*FIGURES[request.figure](update, request.out), record.path]
 
@@ -139,7 +139,7 @@ def _record(out: Path, configuration: Mapping[str, Any], session: Mapping[str, A
     return record
 
 
-def _histogram(update: LatentUpdate, folder: Path) -> list[Path]:
+def _histogram(update: CodeUpdate, folder: Path) -> list[Path]:
     changes = code_changes(update)
     return [
         *save_figure(histogram_figure(changes), folder, "histogram"),
@@ -147,13 +147,13 @@ def _histogram(update: LatentUpdate, folder: Path) -> list[Path]:
     ]
 
 
-def _concept(update: LatentUpdate, folder: Path) -> list[Path]:
+def _concept(update: CodeUpdate, folder: Path) -> list[Path]:
     change = hand_change(update, update.representatives()[FAR])
     figure = hand_figure(update.problem, change.panels)
     return [*save_figure(figure, folder, "concept"), write_hands(change, folder / "concept.csv")]
 
 
-FIGURES: Mapping[str, Callable[[LatentUpdate, Path], list[Path]]] = {
+FIGURES: Mapping[str, Callable[[CodeUpdate, Path], list[Path]]] = {
     "histogram": _histogram,
     "concept": _concept,
 }
@@ -168,19 +168,17 @@ ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
 """Figures of a folder of rows, or of numbers beside weights, drawn there."""
 
 
-def summary(update: LatentUpdate) -> list[str]:
+def summary(update: CodeUpdate) -> list[str]:
     """A few lines about an update."""
     before, after = update.g_before.mean(axis=1), update.g_after.mean(axis=1)
     inside = [(g == 0.0).mean() for g in (update.g_before, update.g_after)]
+    centres = [np.median(g) for g in (update.centre_before, update.centre_after)]
     lines = [
-        f"{len(before)} codes to {len(update.prediction.goals)} goals, "
-        f"{int(update.optimized.kept.sum())} of them left where they were",
-        f"mean F^T F of all codes: {before.mean():.4g} before, {after.mean():.4g} after "
-        f"(median {np.median(before):.4g}, {np.median(after):.4g})",
+        f"{len(before)} codes to {len(update.problem.goals)} goals, {int(update.kept.sum())} of them left in place",
+        f"F^T F at the means: median {centres[0]:.4g} before, {centres[1]:.4g} after",
+        f"mean F^T F of all draws: {before.mean():.4g} before, {after.mean():.4g} after",
         f"draws on the constraint: {inside[0]:.2%} before, {inside[1]:.2%} after",
     ]
     for role, i in update.representatives().items():
-        lines.append(
-            f"{role}: code {update.prediction.codes[i]}: {before[i]:.4g} before, {after[i]:.4g} after"
-        )
+        lines.append(f"{role}: code {update.codes[i]}: {before[i]:.4g} before, {after[i]:.4g} after")
     return lines

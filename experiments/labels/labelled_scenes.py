@@ -1,4 +1,4 @@
-"""Scenes with near-shortest paths, labelled configurations and labelled motions: what shards are made of."""
+"""Scenes with near-shortest paths: what shards are made of."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +17,6 @@ from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.training.shards import FULL_SCALE, Arrays
 
 SPACING = 0.13  # [rad] between stored waypoints
-PROBES = 128  # labelled configurations a scene, and as many labelled motions
-LONGEST_EDGE = 2.0  # [rad] of a labelled motion
 NEAR_HAND = 0.25  # [m] of an obstacle: a task-like configuration
 MOST_TRIVIAL = 0.15  # share of a scene's paths that may be straight lines
 DETOUR = 1.03  # a path is nearly straight unless it is this much longer than the straight line
@@ -45,14 +43,6 @@ class LabelledScene:
     robot: Robot
     scene: Scene
     labels: list[_Label]
-    probes: np.ndarray
-    """(c, n) configurations [rad]."""
-    probe_free: np.ndarray
-    """(c,) bool."""
-    edges: np.ndarray
-    """(e, 2, n) straight motions [rad]."""
-    edge_free: np.ndarray
-    """(e,) bool."""
 
 
 def labelled_scene(
@@ -67,12 +57,7 @@ def labelled_scene(
     """Label a scene: paths between `pairs` pairs of configurations, some of which give none."""
     space = unconstrained_space(robot, scene)
     rng = np.random.default_rng(seed)
-    labels = _labels(space, rng, pairs, settings, with_twins)
-    probes = robot.random_configurations(rng, PROBES)
-    free = space.valid_batch(probes)
-    edges = _edges(robot, probes, rng)
-    edge_free = np.array([motion_free(space.arrays, *edge) for edge in edges], dtype=bool)
-    return LabelledScene(robot, scene, labels, probes, free, edges, edge_free)
+    return LabelledScene(robot, scene, _labels(space, rng, pairs, settings, with_twins))
 
 
 def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
@@ -96,10 +81,6 @@ def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
         "straight": np.array(straight, np.float32),
         "trivial": np.array([label.trivial for label in labels], bool),
         "twin_of": np.array(twins, np.int32),
-        "probe_q": np.stack([packed(robot, draw.probes) for draw in draws]),
-        "probe_free": np.stack([draw.probe_free for draw in draws]),
-        "edge_q": np.stack([packed(robot, draw.edges) for draw in draws]),
-        "edge_free": np.stack([draw.edge_free for draw in draws]),
     }
 
 
@@ -128,14 +109,6 @@ def unconstrained_space(robot: Robot, scene: Scene) -> ConstrainedSpace:
     """The unconstrained planning space of a scene."""
     middle = 0.5 * (robot.lower + robot.upper)
     return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
-
-
-def _edges(robot: Robot, configurations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A straight motion (e, 2, n) from each of the configurations (e, n), up to LONGEST_EDGE long, any way."""
-    way = rng.normal(size=configurations.shape)
-    way *= rng.uniform(0.1, LONGEST_EDGE, (len(way), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
-    ends = np.clip(configurations + way, robot.lower, robot.upper)
-    return np.stack([configurations, ends], axis=1)
 
 
 def _labels(

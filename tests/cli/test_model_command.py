@@ -56,7 +56,14 @@ def test_info_tells_what_is_in_a_folder(panda, tmp_path, capsys):
     assert main(["model", "info", "--model", str(folder)]) == 0
     text = capsys.readouterr().out
     assert len(text.splitlines()) < 30 and found["sha256"] in text
-    for words in ("vq-mpt, compact", "panda, 7 joints", "panda_joint4", "validation_nll", "-1.25", "--json"):
+    for words in (
+        "vq-mpt, published",
+        "panda, 7 joints",
+        "panda_joint4",
+        "validation_nll",
+        "-1.25",
+        "--json",
+    ):
         assert words in text
 
 
@@ -84,9 +91,9 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
         assert torch.equal(tensor, source[name])
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
-    predictor = Predictor(stored(checkpoint), panda, PredictorSettings(decoding="beam", max_length=5))
-    prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:], rng)
-    assert len(prediction.sequences[0][0].codes) > 0
+    predictor = Predictor(stored(checkpoint), panda, PredictorSettings(max_length=5))
+    prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:])
+    assert len(prediction.sequences[0].codes) > 0
     again = refused(capsys, "model", *words[1:])
     assert "is there and not empty; choose another --out" in again
 

@@ -19,7 +19,8 @@ SIZES = TransformerConfig(n_layers=1, n_heads=1, d_k=4, d_v=4, d_model=8, d_inne
 CONFIG = ModelConfig(
     kind="compact",
     dictionary=DictionaryConfig(transformer=SIZES, n_position=5, n_codes=6),
-    sequence=ModelConfig.compact().sequence,
+    point_cloud=None,
+    sequence=None,
 )
 
 

@@ -35,7 +35,6 @@ def test_shards_are_joined_with_rows_counted_through(folder, dataset):
             dataset.paths.joints(21 + path), second["waypoints"][rows] / np.float32(65535)
         )
     np.testing.assert_array_equal(dataset.scenes.shapes(4).size, second["shape_size"][5:10])
-    np.testing.assert_array_equal(dataset.scenes.probes.free[3:], second["probe_free"])
     assert dataset.paths.twin_of[22] == 21 and dataset.paths.twin_of[21] == -1
 
 
@@ -166,7 +165,7 @@ def test_a_shard_damaged_anywhere_is_refused_or_reads_the_same(folder, tmp_path)
 
 def test_a_pickle_in_a_shard_is_refused(tmp_path):
     folder = write_dataset(tmp_path / "d")
-    arrays = shard(np.random.default_rng(5), (7,), 2, False)
+    arrays = shard(np.random.default_rng(5), (7,), 2)
     write_shard(folder, 2, {**arrays, "family": np.array([{"a": 1}], dtype=object)})
     with pytest.raises(InvalidInputError, match=r"000002.npz is not a readable shard: .*pickle"):
         open_dataset(folder)
@@ -183,21 +182,14 @@ def test_a_pickle_in_a_shard_is_refused(tmp_path):
         ("shape_kind", lambda a: a + 3),
         ("shape_pose", lambda a: a * np.nan),
         ("trivial", lambda a: a[1:]),
-        ("probe_free", lambda a: a[:, 1:]),
-        ("edge_q", lambda a: a[:, :, 0]),
     ],
 )
 def test_arrays_that_contradict_each_other_are_named(tmp_path, name, change):
-    arrays = shard(np.random.default_rng(5), (7, 8), 3, True)
+    arrays = shard(np.random.default_rng(5), (7, 8), 3)
     folder = write_dataset(tmp_path / "d", shards=())
     write_shard(folder, 0, {**arrays, name: change(arrays[name])})
     with pytest.raises(InvalidInputError, match=rf"000000.npz: .*{name}"):
         open_dataset(folder)
-
-
-def test_labels_are_optional(tmp_path):
-    dataset = open_dataset(write_dataset(tmp_path / "d", labels=False))
-    assert dataset.scenes.probes is None and dataset.scenes.edges is None
 
 
 def test_without_validation_scenes_nothing_is_trained(tmp_path):

@@ -20,12 +20,9 @@ from cvqmpt_lab.models.config import PointCloudConfig, SetAbstractionConfig, Tra
 from cvqmpt_lab.models.decoding.beam_search import beam_search
 from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.models.stored import read_model
-from cvqmpt_lab.prediction.compact_network import CompactNetwork
 from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.training import run_folder
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.link_positions import LinkPositions
-from cvqmpt_lab.training.measures import area_under_curve
 from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.point_clouds import CloudSettings
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
@@ -34,47 +31,40 @@ from cvqmpt_lab.training.runner import Request, run_training
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24)
 CLOUD = CloudSettings(points=48)
-SMOKE = PROFILES["smoke"]
+SMOKE, COMPACT = PROFILES["smoke"], PROFILES["compact"]
 FEW = dataclasses.replace(
     SMOKE.stage2.batches, scenes=2, paths_per_scene=3, batches_per_epoch=None, cloud=CLOUD, validation_paths=8
 )
 TINY = dataclasses.replace(
-    SMOKE,
+    COMPACT,
     name="tiny",
     model=dataclasses.replace(
-        SMOKE.model,
-        dictionary=dataclasses.replace(SMOKE.model.dictionary, transformer=SIZES, n_codes=16),
-        point_cloud=PointCloudConfig(
-            max_points=48,
-            sa1=SetAbstractionConfig(count=12, radius=0.6, max_neighbours=6, widths=(8, 8)),
-            sa2=SetAbstractionConfig(count=4, radius=1.0, max_neighbours=6, widths=(8, 12)),
-        ),
-        sequence=dataclasses.replace(SMOKE.model.sequence, transformer=SIZES),
+        COMPACT.model,
+        dictionary=dataclasses.replace(COMPACT.model.dictionary, transformer=SIZES, n_codes=16),
     ),
     mpnet_model=dataclasses.replace(
         SMOKE.mpnet_model, n_points=48, encoder_widths=(16,), planner_widths=(32, 16)
     ),
     stage1=dataclasses.replace(
-        SMOKE.stage1, epochs=2, batch=4, row=16, batches_per_epoch=6, restart_every=4, restart_epochs=1
+        COMPACT.stage1, epochs=2, batch=4, row=16, batches_per_epoch=6, restart_every=4, restart_epochs=1
     ),
-    stage2=dataclasses.replace(SMOKE.stage2, epochs=2, batches=FEW),
     mpnet=dataclasses.replace(SMOKE.mpnet, epochs=2, batches=FEW),
 )
+"""A dictionary, and MPNet."""
 PUBLISHED = dataclasses.replace(
     TINY,
     name="tiny-published",
     link_features=False,
     model=dataclasses.replace(
-        PROFILES["published"].model,
-        dictionary=dataclasses.replace(
-            PROFILES["published"].model.dictionary, transformer=SIZES, n_codes=16, n_position=200
-        ),
+        SMOKE.model,
+        dictionary=dataclasses.replace(SMOKE.model.dictionary, transformer=SIZES, n_codes=16, n_position=200),
         point_cloud=PointCloudConfig(
             sa1=SetAbstractionConfig(ratio=0.5, radius=0.5, widths=(8, 8)),
             sa2=SetAbstractionConfig(ratio=0.5, radius=0.9, widths=(8, 16)),
         ),
-        sequence=dataclasses.replace(PROFILES["published"].model.sequence, transformer=SIZES, context=SIZES),
+        sequence=dataclasses.replace(SMOKE.model.sequence, transformer=SIZES, context=SIZES),
     ),
+    stage2=dataclasses.replace(SMOKE.stage2, epochs=2, batches=FEW),
 )
 
 
@@ -87,6 +77,13 @@ def data(tmp_path_factory):
 def dictionary(tmp_path_factory, data):
     out = tmp_path_factory.mktemp("stage1") / "s1"
     assert go("stage1", data, out).finished
+    return out
+
+
+@pytest.fixture(scope="module")
+def published_dictionary(tmp_path_factory, data):
+    out = tmp_path_factory.mktemp("stage1") / "published"
+    assert go("stage1", data, out, PUBLISHED, epochs=1).finished
     return out
 
 
@@ -143,22 +140,26 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     }  # fmt: skip
 
 
-def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, dictionary):
-    assert go("stage2", data, tmp_path / "s2", dictionary=dictionary).finished
+def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, published_dictionary):
+    assert go("stage2", data, tmp_path / "s2", PUBLISHED, dictionary=published_dictionary).finished
     rows = curves(tmp_path / "s2")
-    for name in ("cross_entropy", "cross_entropy_cubes", "free_auc", "connected_auc", "refinement_nll"):
+    for name in ("cross_entropy", "cross_entropy_cubes"):
         assert float(rows[0][f"validation_{name}"]) != float(rows[0][f"validation_wrong_cloud_{name}"])
     checkpoint = load_checkpoint(tmp_path / "s2" / "model")
+    assert checkpoint.config.kind == "published" and checkpoint.config.feature_dim == 0
     model, words = checkpoint.sequence_model, checkpoint.dictionary
-    links = LinkPositions(checkpoint.robot.lower, checkpoint.robot.upper, open_dataset(data).chain)
-    means = links.configurations(words.code_gaussians().mean)
-    torch.testing.assert_close(model.code_configurations, means)
-    for name, tensor in load_checkpoint(dictionary / "model").dictionary.state_dict().items():
+    for name, tensor in load_checkpoint(published_dictionary / "model").dictionary.state_dict().items():
         assert torch.equal(words.state_dict()[name], tensor)
-    network = CompactNetwork(read_model(tmp_path / "s2" / "model"))
-    scene = network.encode_scene(np.random.default_rng(0).random((48, 3), dtype=np.float32))
-    start, goal = links.configurations(torch.rand(2, 1, 7)).numpy()
-    assert len(beam_search(network.decoder(scene, start, goal))) == 1
+    scene = model.encode_scene(torch.rand(1, 48, 3))
+    assert len(beam_search(model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7)))) == 1
+
+
+def test_stage_2_of_a_kind_without_one_is_refused(tmp_path, data, dictionary):
+    with pytest.raises(
+        InvalidInputError, match=r"profile 'tiny' has no stage2.*profiles with one: smoke, published"
+    ):
+        go("stage2", data, tmp_path / "s2", dictionary=dictionary)
+    assert not (tmp_path / "s2").exists()
 
 
 def test_mpnet_leaves_a_network(tmp_path, data):
@@ -169,35 +170,10 @@ def test_mpnet_leaves_a_network(tmp_path, data):
     assert network.encode(np.zeros((48, 3))).shape == (28,)
 
 
-def test_the_published_model_trains(tmp_path, data):
-    go("stage1", data, tmp_path / "s1", PUBLISHED, epochs=1)
-    go("stage2", data, tmp_path / "s2", PUBLISHED, epochs=1, dictionary=tmp_path / "s1" / "model")
-    checkpoint = load_checkpoint(tmp_path / "s2" / "model")
-    assert checkpoint.config.kind == "published" and checkpoint.config.feature_dim == 0
-    assert set(curves(tmp_path / "s2")[0]) >= {
-        "validation_cross_entropy",
-        "validation_wrong_cloud_cross_entropy",
-    }
-
-
-def test_half_precision_and_no_labels(tmp_path, data, dictionary):
-    half = dataclasses.replace(TINY, stage2=dataclasses.replace(TINY.stage2, precision="bf16"))
-    go("stage2", data, tmp_path / "half", half, dictionary=dictionary, epochs=1)
-    assert np.isfinite(float(curves(tmp_path / "half")[0]["train_free"]))
-    # same joints and chain, other scenes, no labels: those heads are left out
-    data = write_dataset(tmp_path / "d", labels=False, seed=3)
-    stage2 = dataclasses.replace(TINY.stage2, precision="bf16")
-    go(
-        "stage2",
-        data,
-        tmp_path / "s2",
-        dataclasses.replace(TINY, stage2=stage2),
-        dictionary=dictionary,
-        epochs=1,
-    )
-    sequence = load_checkpoint(tmp_path / "s2" / "model").config.sequence
-    assert not sequence.collision_head and not sequence.connectivity_head and sequence.refinement
-    assert np.isfinite(float(curves(tmp_path / "s2")[0]["train_loss"]))
+def test_half_precision(tmp_path, data, published_dictionary):
+    half = dataclasses.replace(PUBLISHED, stage2=dataclasses.replace(PUBLISHED.stage2, precision="bf16"))
+    go("stage2", data, tmp_path / "half", half, dictionary=published_dictionary, epochs=1)
+    assert np.isfinite(float(curves(tmp_path / "half")[0]["train_loss"]))
 
 
 def test_losses_fall(tmp_path, data):
@@ -215,8 +191,8 @@ def test_losses_fall(tmp_path, data):
 
 
 @pytest.mark.parametrize("stage", ["stage1", "stage2", "mpnet"])
-def test_a_stopped_training_continues_on_the_same_curve(tmp_path, data, dictionary, stage):
-    options = {"dictionary": dictionary} if stage == "stage2" else {}
+def test_a_stopped_training_continues_on_the_same_curve(tmp_path, data, published_dictionary, stage):
+    options = {"dictionary": published_dictionary, "profile": PUBLISHED} if stage == "stage2" else {}
     go(stage, data, tmp_path / "whole", **options)
 
     def stop(tick):
@@ -286,22 +262,21 @@ def test_damaged_states_are_named(tmp_path, data):
         go("stage1", data, tmp_path / "s1")
 
 
-def test_dictionaries_that_do_not_fit(tmp_path, data, dictionary):
+def test_dictionaries_that_do_not_fit(tmp_path, data, dictionary, published_dictionary):
     out = tmp_path / "s2"
     with pytest.raises(InvalidInputError, match="stage2 needs the dictionary"):
-        go("stage2", data, out)
+        go("stage2", data, out, PUBLISHED)
     with pytest.raises(InvalidInputError, match="cannot read weights"):
-        go("stage2", data, out, dictionary=tmp_path / "nowhere")
+        go("stage2", data, out, PUBLISHED, dictionary=tmp_path / "nowhere")
     with pytest.raises(InvalidInputError, match="stage1 takes no dictionary"):
         go("stage1", data, out, dictionary=dictionary)
-    checkpoint = load_checkpoint(dictionary / "model")
+    checkpoint = load_checkpoint(published_dictionary / "model")
     robot = RobotSignature("iiwa", checkpoint.robot.lower, checkpoint.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(checkpoint, robot=robot))
     with pytest.raises(InvalidInputError, match="weights are for robot 'iiwa', not 'panda'"):
-        go("stage2", data, out, dictionary=tmp_path / "iiwa")
-    joints = dataclasses.replace(TINY, link_features=False)
-    with pytest.raises(InvalidInputError, match="12 features, the configuration of kind 'compact' with 0"):
-        go("stage2", data, out, joints, dictionary=dictionary)
+        go("stage2", data, out, PUBLISHED, dictionary=tmp_path / "iiwa")
+    with pytest.raises(InvalidInputError, match="kind 'compact', the configuration of kind 'published'"):
+        go("stage2", data, out, PUBLISHED, dictionary=dictionary)
     assert not out.exists()
 
 
@@ -362,6 +337,8 @@ def test_profiles_survive_json():
     data["stage2"]["batches"]["speed"] = 1
     with pytest.raises(InvalidInputError, match=r"profile.stage2.batches.speed is unknown"):
         from_plain(Profile, data, "profile")
+    with pytest.raises(InvalidInputError, match="null to one without"):
+        dataclasses.replace(SMOKE, stage2=None)
     data = to_plain(SMOKE, complete=True)
     data["mpnet_model"]["n_points"] = 7
     with pytest.raises(InvalidInputError, match=r"profile: .* must equal mpnet_model\.n_points"):
@@ -375,13 +352,6 @@ def test_rates():
     assert published.rate_at(600, 1) == pytest.approx(0.15 * 512**-0.5 * 600 * 2400**-1.5)
     cosine = OptimizerSettings(rate=1.0, warmup=10, schedule="cosine", final=0.1)
     assert [cosine.rate_at(s, 110) for s in (5, 10, 60, 110)] == pytest.approx([0.5, 1.0, 0.55, 0.1])
-
-
-def test_area_under_the_curve():
-    labels = np.array([True, False, True, False])
-    assert area_under_curve(np.array([4.0, 1.0, 3.0, 2.0]), labels) == 1.0
-    assert area_under_curve(np.zeros(4), labels) == 0.5
-    assert area_under_curve(np.zeros(2), np.array([True, True])) is None
 
 
 def test_the_command_line(tmp_path, capsys, data):

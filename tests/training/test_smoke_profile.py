@@ -36,7 +36,7 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.8, 0.8, (400, 3))
     start, goal = robot.random_configurations(rng, 2)
-    prediction = predictor.predict(cloud, start, goal[None], rng)
+    prediction = predictor.predict(cloud, start, goal[None])
     mixture = predictor.mixture(prediction)
-    assert len(prediction.sequences[0][0].codes) > 0
+    assert len(prediction.sequences[0].codes) > 0
     assert np.isfinite(mixture.sample(rng, 100)).all()

@@ -1,1 +1,1 @@
-"""Code sequences from any sequence model: beam search and sampling."""
+"""Code sequences from any sequence model, by beam search."""

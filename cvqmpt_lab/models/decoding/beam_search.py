@@ -1,4 +1,4 @@
-"""From a sequence model to code sequences: beam search (paper, eqn. prob_eqn) and sampling."""
+"""From a sequence model to code sequences: beam search (paper, eqn. prob_eqn)."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -102,7 +102,7 @@ def _search(
     codes, score = _largest(log_p, beams)
     hypotheses = _Beams(codes[..., None], score, score)
     first_row = beams * np.arange(queries)[:, None]
-    parents: np.ndarray | None = np.arange(queries).repeat(beams)
+    parents = np.arange(queries).repeat(beams)
     best = [0] * queries
     found: dict[int, CodeSequence] = {}
     for _ in range(max_length - 1):
@@ -143,62 +143,6 @@ def _extend(hypotheses: _Beams, log_p: np.ndarray, scoring: Scoring) -> tuple[_B
     log_probability = hypotheses.log_probability[query, rank] + log_p[query, rank, code]
     codes = np.concatenate((hypotheses.codes[query, rank], code[..., None]), axis=2)
     return _Beams(codes, score, log_probability), rank
-
-
-def sample_sequences(
-    decoder: StepDecoder,
-    count: int,
-    rng: np.random.Generator,
-    *,
-    temperature: float = 1.0,
-    max_length: int = 50,
-) -> list[tuple[CodeSequence, ...]]:
-    """Draw sequences code by code, for the union of several; all queries in one batch.
-
-    Immediate repeats, a goal token at first and the start token are never drawn. Parameters as in
-    `beam_search`; `count` sequences for each query; at a low `temperature` the likeliest codes prevail.
-
-    Returns
-    -------
-    `count` sequences per query, in the order drawn; `score` is the log probability at temperature 1.
-
-    Raises
-    ------
-    InvalidInputError
-        For a count or length below 1, a temperature that is not positive, or logits that are not finite.
-    """
-    if count < 1 or not temperature > 0.0:
-        raise InvalidInputError(f"{count} sequences at temperature {temperature}; give at least 1, above 0")
-    log_p = _first_log_probabilities(decoder, max_length).repeat(count, axis=0)
-    rows, classes = log_p.shape
-    goal, row = classes - 1, np.arange(rows)
-    total, ended = np.zeros(rows), np.zeros(rows, dtype=bool)
-    drawn: list[np.ndarray] = []
-    for step in range(max_length):
-        if step > 0:
-            parents = row // count if step == 1 else None
-            logits = decoder.advance(parents, np.where(ended, 0, drawn[-1]))
-            log_p = _log_probabilities(logits, (rows,))
-            log_p[row, np.where(ended, classes - 2, drawn[-1])] = -np.inf
-        code = np.where(ended, goal, _draw(log_p / temperature, rng))
-        total += np.where(ended, 0.0, log_p[row, code])
-        drawn.append(code)
-        ended = code == goal
-        if ended.all():
-            break
-    sequences = []
-    for codes, log_probability in zip(np.stack(drawn, axis=1).tolist(), total.tolist(), strict=True):
-        kept = tuple(code for code in codes if code != goal)
-        sequences.append(CodeSequence(kept, goal in codes, log_probability, log_probability))
-    return [tuple(sequences[i : i + count]) for i in range(0, rows, count)]
-
-
-def _draw(logits: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Columns (r,) drawn from the softmax of each row (r, n)."""
-    cumulated = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1, dtype=np.float64)
-    total = cumulated[:, -1:]
-    threshold = np.minimum(rng.random((len(logits), 1)) * total, np.nextafter(total, 0.0))
-    return (cumulated <= threshold).sum(axis=1)
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -17,14 +17,14 @@ class StepDecoder(Protocol):
     def start(self) -> np.ndarray:
         """Logits (queries, n_classes) of the first code; called once, before `advance`."""
 
-    def advance(self, parents: np.ndarray | None, codes: np.ndarray) -> np.ndarray:
+    def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """Replace the rows and return the logits (rows, n_classes) of what follows them.
 
         Parameters
         ----------
         parents
-            (rows,) int64: the earlier row, of the same query, that each new row continues; None when
-            each continues itself. The number of rows is chosen at the first step and stays.
+            (rows,) int64: the earlier row, of the same query, that each new row continues. The number of rows is
+            chosen at the first step and stays.
         codes
             (rows,) int64: what each adds to it.
         """

@@ -26,10 +26,6 @@ class Gaussians:
         """L D L^T (..., n, n)."""
         return (self.lower * self.diagonal[..., None, :]) @ self.lower.mT
 
-    def __getitem__(self, index: Tensor | slice | int | tuple[Tensor, ...]) -> "Gaussians":
-        """Those at `index` of the leading dimensions."""
-        return Gaussians(self.mean[index], self.lower[index], self.diagonal[index])
-
     def log_prob(self, u: Tensor) -> Tensor:
         """Log density (...) at normalised joints u (..., n) [nats]."""
         offset = (u - self.mean)[..., None]
@@ -47,13 +43,6 @@ class Gaussians:
         """Differential entropy (...) [nats]."""
         n = self.mean.shape[-1]
         return 0.5 * (self.diagonal.log().sum(-1) + n * (1.0 + math.log(2.0 * math.pi)))
-
-
-def diagonal_gaussians(mean: Tensor, log_std: Tensor) -> Gaussians:
-    """Gaussians with uncorrelated joints from mean (..., n) and log standard deviation (..., n)."""
-    n = mean.shape[-1]
-    identity = torch.eye(n, dtype=mean.dtype, device=mean.device).expand(*mean.shape, n)
-    return Gaussians(mean, identity, (2.0 * log_std).exp())
 
 
 class GaussianDecoder(nn.Module):

@@ -3,6 +3,8 @@
 import math
 from typing import Any
 
+import numpy as np
+
 from cvqmpt_lab.errors import InvalidInputError
 
 LARGEST_EXTENT = 50.0
@@ -31,3 +33,21 @@ def require_point_cloud(points: Any) -> None:
         raise InvalidInputError(
             f"point cloud reaches {largest:g} m; at most {LARGEST_EXTENT:g} m: give metres, not millimetres"
         )
+
+
+def checked_cloud(cloud: np.ndarray) -> np.ndarray:
+    """A cloud (m, 3) [m, robot base frame] as contiguous float32.
+
+    Raises
+    ------
+    InvalidInputError
+        For fewer than two points, another shape, NaN, or an extent that cannot be metres.
+    """
+    try:
+        points = np.asarray(cloud, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"point cloud must be numbers: {error}") from error
+    if points.ndim != 2:
+        raise InvalidInputError(f"point cloud of shape {points.shape}; it must be (n, 3) [m]")
+    require_point_cloud(points)
+    return np.ascontiguousarray(points, dtype=np.float32)

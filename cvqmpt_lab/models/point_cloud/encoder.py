@@ -20,16 +20,6 @@ class TokenLevel:
     """(b, m, 3): the points they stand for [m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class SceneTokens:
-    """What the encoder makes of clouds."""
-
-    fine: TokenLevel
-    """Many."""
-    coarse: TokenLevel
-    """Few, that summarise them."""
-
-
 class PointConvolution(nn.Module):
     """Perceptron over every edge [x_j, p_j - p_i], maximum over the edges of a centre.
 
@@ -76,15 +66,10 @@ class SetAbstraction(nn.Module):
         self.conv = PointConvolution(input_dim, config.widths)
         self.config = config
 
-    def _count(self, n: int) -> int:
-        if self.config.count is not None:
-            return min(self.config.count, n)
-        return math.ceil((self.config.ratio or 1.0) * n)
-
     def forward(self, level: TokenLevel) -> TokenLevel:
         """Abstract features (b, n, d) at n points to fewer centres."""
         points, features = level.centres, level.features
-        chosen = farthest_point_sampling(points, self._count(points.shape[1]))
+        chosen = farthest_point_sampling(points, math.ceil(self.config.ratio * points.shape[1]))
         centres = points.gather(1, chosen[..., None].expand(-1, -1, 3))
         batch, m = centres.shape[:2]
         edges = ball_query(points, centres, self.config.radius, self.config.max_neighbours)
@@ -102,7 +87,6 @@ class PointCloudEncoder(nn.Module):
         self.sa1_module = SetAbstraction(3, config.sa1)
         self.sa2_module = SetAbstraction(config.sa1.widths[-1], config.sa2)
 
-    def forward(self, points: Tensor) -> SceneTokens:
+    def forward(self, points: Tensor) -> TokenLevel:
         """Encode clouds (b, n, 3) [m, robot base frame], checked by `require_point_cloud`."""
-        fine = self.sa1_module(TokenLevel(points, points))
-        return SceneTokens(fine, self.sa2_module(fine))
+        return self.sa2_module(self.sa1_module(TokenLevel(points, points)))

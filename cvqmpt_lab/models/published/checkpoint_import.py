@@ -125,7 +125,7 @@ def _model_config(
             code_dim=CODE_DIM,
         ),
         point_cloud=sizes.PointCloudConfig(
-            sa2=sizes.SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(256, stage1["d_model"])),
+            sa2=sizes.SetAbstractionConfig(radius=0.4, widths=(256, stage1["d_model"])),
         ),
         sequence=sizes.SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
     )

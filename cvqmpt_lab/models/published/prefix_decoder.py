@@ -23,13 +23,13 @@ class PrefixDecoder:
         """Logits (queries, n_classes) of the first code."""
         return self._logits()
 
-    def advance(self, parents: np.ndarray | None, codes: np.ndarray) -> np.ndarray:
+    def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """Replace the rows; see `decoding.StepDecoder`."""
-        if parents is not None:
-            rows = torch.from_numpy(parents).to(self._queries.device)
-            self._queries, self._codes = self._queries[rows], self._codes[rows]
-        added = torch.from_numpy(codes).to(self._codes.device)
-        self._codes = torch.cat((self._codes, added[:, None]), dim=1)
+        rows, added = (torch.from_numpy(given).to(self._queries.device) for given in (parents, codes))
+        self._queries, self._codes = (
+            self._queries[rows],
+            torch.cat((self._codes[rows], added[:, None]), dim=1),
+        )
         return self._logits()
 
     @torch.inference_mode()

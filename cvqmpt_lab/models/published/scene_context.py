@@ -46,9 +46,9 @@ class SceneContext(nn.Module):
         Batch norm statistics are per cloud when training on clouds of unequal sizes.
         """
         if len({len(cloud) for cloud in clouds}) == 1:
-            tokens = self.env_encoder(torch.stack(clouds)).coarse.features
+            tokens = self.env_encoder(torch.stack(clouds)).features
             return tokens, tokens.new_ones(tokens.shape[:2], dtype=torch.bool)
-        each = [self.env_encoder(cloud[None]).coarse.features[0] for cloud in clouds]
+        each = [self.env_encoder(cloud[None]).features[0] for cloud in clouds]
         longest = max(len(tokens) for tokens in each)
         padded = torch.stack([F.pad(tokens, (0, 0, 0, longest - len(tokens))) for tokens in each])
         sizes = torch.tensor([len(tokens) for tokens in each], device=padded.device)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.config import EPSILON, ModelConfig, TransformerConfig
 from cvqmpt_lab.models.decoding.step_decoder import StepDecoder, rows_per_scene
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
@@ -81,11 +80,9 @@ class PublishedSequenceModel(nn.Module):
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
-        if config.sequence.context is None:
-            raise InvalidInputError("the published sequence model needs sequence.context")
-        self.config = config
-        self.context = SceneContext(config.joint_dim, config.point_cloud, config.sequence.context)
-        self.autoregressive = AutoRegressiveModel(config.goal_class + 1, config.sequence.transformer)
+        point_cloud, sequence = config.stage2
+        self.context = SceneContext(config.joint_dim, point_cloud, sequence.context)
+        self.autoregressive = AutoRegressiveModel(config.goal_class + 1, sequence.transformer)
 
     def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> PublishedScene:
         """Encode clouds (n_i, 3) [m, robot base frame].

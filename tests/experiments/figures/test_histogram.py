@@ -1,4 +1,4 @@
-"""The latent update's figures: numbers of a small model with random weights, the Markov bound, the command."""
+"""The update's figures: numbers of what `opt-cvq-mpt` samples, the Markov bound, the command."""
 
 import csv
 import json
@@ -11,34 +11,38 @@ from small_models import random_checkpoint
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import save_checkpoint, stored
+from cvqmpt_lab.methods.loaded import dictionary_roadmap
+from cvqmpt_lab.methods.method import Weights
+from cvqmpt_lab.models.checkpoint import save_checkpoint
 from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction.latent_optimizer import LatentObjective, LatentSettings
-from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import still_image
 from experiments.figures import drawing
+from experiments.figures.code_update import FAR, NEAR, UpdateSettings, squared_residual, update_codes
 from experiments.figures.drawing import cloud_figure, figure_bytes, histogram_figure
 from experiments.figures.hand_poses import HandPoses, hand_change
 from experiments.figures.histogram import THRESHOLDS, Histogram, MarkovTail, code_changes, value_rows
-from experiments.figures.latent_update import FAR, NEAR, UpdateSettings, squared_residual, update_latents
 
-SETTINGS = UpdateSettings(samples=300, latent=LatentSettings(steps=3))
-
-
-@pytest.fixture(scope="module")
-def checkpoint(panda):
-    return stored(random_checkpoint(panda))
+SETTINGS = UpdateSettings(samples=300)
+PUBLISHED = "published"
 
 
 @pytest.fixture(scope="module")
-def few_goals(problem):
-    return problem.with_goals(problem.goals[:2])
+def model(tmp_path_factory, panda):
+    """A small model of the authors' architecture with random weights."""
+    folder = tmp_path_factory.mktemp("weights") / "model"
+    save_checkpoint(folder, random_checkpoint(panda))
+    return folder
+
+
+@pytest.fixture(scope="module", params=["shipped", PUBLISHED])
+def of(request, model):
+    return str(model) if request.param == PUBLISHED else None
 
 
 @pytest.fixture(scope="module")
-def update(few_goals, checkpoint):
-    return update_latents(few_goals, checkpoint, SETTINGS)
+def update(problem, of):
+    return update_codes(problem, of, SETTINGS)
 
 
 # ---------------------------------------------------------------- pure functions
@@ -94,30 +98,28 @@ def test_histogram_refuses(values):
 # ---------------------------------------------------------------- an update
 
 
-def test_draws_are_those_of_the_predicted_gaussians(update):
+def test_draws_have_the_mean_and_spread_of_what_is_sampled(update):
     noise = np.random.default_rng(1).standard_normal((40_000, 7))
-    draws = update.before.draws(5, noise)
-    sigma = np.sqrt(np.diag(update.prediction.covariances[5]))
-    np.testing.assert_allclose(draws.mean(axis=0), update.prediction.means[5], atol=0.03 * sigma.max())
+    draws, covariance = update.before.draws(1, noise), update.before.scales[1] @ update.before.scales[1].T
+    sigma = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(draws.mean(axis=0), update.before.means[1], atol=0.03 * sigma.max())
     scale = sigma[:, None] * sigma
-    np.testing.assert_allclose(np.cov(draws.T) / scale, update.prediction.covariances[5] / scale, atol=0.03)
+    np.testing.assert_allclose(np.cov(draws.T) / scale, covariance / scale, atol=0.03)
 
 
-def test_g_is_what_the_update_minimises(update, few_goals, checkpoint):
-    predictor = Predictor(checkpoint, few_goals.robot)
-    objective = LatentObjective(
-        predictor.decoder, predictor.configurations.lower, predictor.configurations.range
-    )
-    for z, g in ((update.prediction.z, update.g_before), (update.optimized.z, update.g_after)):
-        expected = objective.value(z, update.prediction.refinement, few_goals.manifold, update.noise)
-        np.testing.assert_allclose(g.mean(axis=1), expected, rtol=1e-3)
+def test_sequences_are_projected_nodes_of_the_dictionary(problem):
+    update = update_codes(problem, None, SETTINGS)
+    nodes = dictionary_roadmap(Weights("vq_mpt"), problem.robot).nodes
+    np.testing.assert_array_equal(update.before.means, nodes[update.codes])
+    assert update.centre_before.max() > 0.1 > 1e-6 > update.centre_after.max()
+    assert (~update.kept).any() and update.g_after.mean() < update.g_before.mean()
+    np.testing.assert_array_equal(update.after.scales, update.before.scales)
 
 
-def test_the_update_helps_and_leaves_kept_codes_alone(update):
-    kept = update.optimized.kept
+def test_kept_codes_are_left_alone(update):
+    kept = update.kept
+    np.testing.assert_array_equal(update.centre_after[kept], update.centre_before[kept])
     np.testing.assert_array_equal(update.g_after[kept], update.g_before[kept])
-    assert (~kept).sum() > 0
-    assert update.g_after.mean() < 0.97 * update.g_before.mean()
 
 
 def test_the_measured_tail_never_exceeds_the_bound(update):
@@ -128,36 +130,35 @@ def test_the_measured_tail_never_exceeds_the_bound(update):
 
 
 def test_representatives_are_far_and_near_by_rank(update):
-    chosen, g = update.representatives(), update.optimized.g_before
+    chosen, g = update.representatives(), update.centre_before
     assert set(chosen) == {FAR, NEAR}
-    assert (g < g[chosen[FAR]]).mean() == pytest.approx(0.9, abs=2.0 / len(g))
-    assert (g < g[chosen[NEAR]]).mean() == pytest.approx(0.1, abs=2.0 / len(g))
+    assert g[chosen[FAR]] >= np.quantile(g, 0.8) >= np.quantile(g, 0.2) >= g[chosen[NEAR]]
     assert [change.role for change in code_changes(update)] == [FAR, NEAR]
 
 
-def test_updates_repeat_and_seeds_differ(update, few_goals, checkpoint):
-    again = update_latents(few_goals, checkpoint, SETTINGS)
+def test_updates_repeat_and_seeds_differ(update, problem, of):
+    again = update_codes(problem, of, SETTINGS)
     np.testing.assert_array_equal(again.g_after, update.g_after)
-    other = update_latents(few_goals, checkpoint, UpdateSettings(seed=1, samples=300))
+    other = update_codes(problem, of, UpdateSettings(seed=1, samples=300))
     assert not np.array_equal(other.noise, update.noise)
 
 
-def test_satisfied_share_is_that_of_the_constraint(update, few_goals):
-    row = value_rows(update)[3]
-    draws = update.before.draws(3, update.noise)
-    assert row["g_before"] == pytest.approx(squared_residual(few_goals.manifold, draws).mean(), abs=1e-12)
+def test_satisfied_share_is_that_of_the_constraint(update, problem):
+    row = value_rows(update)[1]
+    draws = update.before.draws(1, update.noise)
+    assert row["g_before"] == pytest.approx(squared_residual(problem.manifold, draws).mean(), abs=1e-12)
     assert row["satisfied_before"] == pytest.approx(
-        np.mean([np.linalg.norm(few_goals.manifold.residual(q)) == 0.0 for q in draws]), abs=1e-12
+        np.mean([np.linalg.norm(problem.manifold.residual(q)) == 0.0 for q in draws]), abs=1e-12
     )
 
 
-def test_hands_by_another_kinematics(update, few_goals):
-    change = hand_change(update, 2, count=20)
+def test_hands_by_another_kinematics(update, problem):
+    change = hand_change(update, 1, count=20)
     for i, q in enumerate(change.after.q):
-        T = few_goals.robot.pose(q)
+        T = problem.robot.pose(q)
         np.testing.assert_allclose(change.after.positions[i], T[:3, 3], atol=1e-9)
         assert np.cos(change.after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
-    upright = HandPoses.of(few_goals.robot, few_goals.start[None])
+    upright = HandPoses.of(problem.robot, problem.start[None])
     assert upright.tilt[0] < 1e-4
 
 
@@ -166,14 +167,14 @@ def test_figures_repeat_byte_for_byte(update):
     assert first == again and b"<svg" in first
 
 
-def test_the_scene_is_drawn_where_its_viewpoint_puts_it(few_goals):
+def test_the_scene_is_drawn_where_its_viewpoint_puts_it(problem):
     viewpoint, size = Viewpoint(), (120, 90)
-    image = still_image(few_goals, few_goals.start, size, viewpoint)
-    other = still_image(few_goals, few_goals.goals[0], size, viewpoint)
+    image = still_image(problem, problem.start, size, viewpoint)
+    other = still_image(problem, problem.goals[0], size, viewpoint)
     assert image.shape == (90, 120, 3) and image.dtype == np.uint8
     rows, columns = np.nonzero((image != other).any(axis=2))
-    for q in (few_goals.start, few_goals.goals[0]):  # the hand is where the pictures differ
-        column, row, _ = viewpoint.screen(few_goals.robot.pose(q)[:3, 3], size[::-1])
+    for q in (problem.start, problem.goals[0]):  # the hand is where the pictures differ
+        column, row, _ = viewpoint.screen(problem.robot.pose(q)[:3, 3], size[::-1])
         assert np.hypot(rows - row, columns - column).min() < 2.0
 
 
@@ -186,30 +187,23 @@ def test_the_cloud_is_drawn_beside_its_scene(update, small_pictures):
     figure = cloud_figure(update.problem, update.cloud)
     scene, cloud, _ = figure.axes
     (drawn,) = cloud.collections
-    assert len(drawn.get_offsets()) == len(update.cloud) == 1024 and len(scene.images) == 1
+    assert len(drawn.get_offsets()) == len(update.cloud) > 1000 and len(scene.images) == 1
     assert figure_bytes(figure, "png")[:4] == b"\x89PNG"
 
 
-def test_no_codes_is_said(few_goals, panda):
-    silent = stored(random_checkpoint(panda, goal_bias=-1e6))
+def test_no_codes_is_said(problem, panda, tmp_path):
+    save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
     with pytest.raises(InvalidInputError, match="predicted 0 codes"):
-        update_latents(few_goals, silent, SETTINGS)
+        update_codes(problem, str(tmp_path / "silent"), SETTINGS)
 
 
 @pytest.mark.parametrize(("name", "value"), [("samples", 0), ("seed", -1)])
 def test_settings_are_checked(name, value):
-    with pytest.raises(InvalidInputError, match=f"{name} of the latent update is {value}"):
+    with pytest.raises(InvalidInputError, match=f"{name} of the update is {value}"):
         UpdateSettings(**{name: value})
 
 
 # ---------------------------------------------------------------- the command
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory, panda):
-    folder = tmp_path_factory.mktemp("weights") / "model"
-    save_checkpoint(folder, random_checkpoint(panda))
-    return folder
 
 
 def rows_of(path):
@@ -269,7 +263,7 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
     [
         (["histogram", "--planners", "birrt"], "unknown arguments: --planners birrt"),
         (["pie"], "unknown figure 'pie'; valid choices: histogram, concept"),
-        (["histogram", "--seed", "-1"], "seed of the latent update is -1"),
+        (["histogram", "--seed", "-1"], "seed of the update is -1"),
         (["histogram", "--problem", "150"], "unknown problem 150"),
         (["histogram", "--model", "/nowhere"], "/nowhere"),
     ],

@@ -18,7 +18,6 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.link_positions import LinkPositions
-from cvqmpt_lab.training.shards import FULL_SCALE
 from experiments.labels import labelled_scenes, training_data
 from experiments.labels.dataset_card import dataset_card
 from experiments.labels.training_data import Recipe, generate
@@ -72,18 +71,14 @@ def test_paths_are_free_and_join_their_ends(tiny):
         assert not checkers[scene].in_collision(q[0]) and not checkers[scene].in_collision(q[-1])
 
 
-def test_shapes_and_probes_describe_the_same_scene(tiny):
-    robot, dataset = panda(), open_dataset(tiny)
+def test_shapes_describe_the_scene(tiny):
+    dataset = open_dataset(tiny)
     for scene in range(len(dataset.scenes)):
         made = family_scene(dataset.families[dataset.scenes.family[scene]], int(dataset.scenes.seed[scene]))
         shapes = dataset.scenes.shapes(scene)
         assert len(shapes) == len(made.obstacles)
         for item, T in zip(made.obstacles, shapes.pose, strict=True):
             np.testing.assert_allclose(T, item.T_world_object[:3], atol=1e-6)
-        probes = dataset.scenes.probes
-        q = robot.lower + probes.joints[scene] / FULL_SCALE * (robot.upper - robot.lower)
-        blocked = CollisionChecker(robot, made).in_collision_batch(q)
-        assert (blocked == ~probes.free[scene]).mean() > 0.98  # rounding moves a few across
 
 
 def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path):

@@ -1,4 +1,4 @@
-"""Beam search and sampling on a table of probabilities, against the same by hand."""
+"""Beam search on a table of probabilities, against the same by hand."""
 
 import itertools
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models.decoding.beam_search import beam_search, sample_sequences
+from cvqmpt_lab.models.decoding.beam_search import beam_search
 
 CODES = 4
 START, GOAL = CODES, CODES + 1
@@ -24,7 +24,6 @@ class TableDecoder:
         return self._logits()
 
     def advance(self, parents, codes):
-        parents = range(len(self.queries)) if parents is None else parents
         self.queries = np.array([self.queries[p] for p in parents])
         self.prefixes = [self.prefixes[p] + (int(c),) for p, c in zip(parents, codes, strict=True)]
         assert all(code < CODES for prefix in self.prefixes for code in prefix)
@@ -121,41 +120,9 @@ def test_published_scoring(seed):
 
 def test_a_goal_that_never_comes_is_said():
     table = tables(0, goal=1e-9)
-    for sequence in (
-        beam_search(TableDecoder(table), beams=2, max_length=5)[0],
-        *sample_sequences(TableDecoder(table), 3, np.random.default_rng(0), max_length=5)[0],
-    ):
-        assert not sequence.finished
-        assert len(sequence.codes) == 5 and is_allowed(sequence.codes)
-
-
-def test_samples_have_the_model_s_probabilities():
-    table = tables(3, queries=2)
-    drawn = sample_sequences(TableDecoder(table), 4000, np.random.default_rng(0), max_length=300)
-    for query in range(2):
-        for prefix in ((), (0,), (1,), (2, 3)):
-            allowed = given(table[query], prefix).copy()
-            allowed[[START, prefix[-1] if prefix else GOAL]] = 0.0
-            paths = [(*s.codes, GOAL) for s in drawn[query]]
-            following = [path[len(prefix)] for path in paths if path[: len(prefix)] == prefix]
-            frequency = np.bincount(following, minlength=CODES + 2) / len(following)
-            tolerance = 4.0 * np.sqrt(0.25 / len(following))
-            np.testing.assert_allclose(frequency, allowed / allowed.sum(), atol=tolerance)
-        for sequence in drawn[query][:50]:
-            assert sequence.finished and is_allowed(sequence.codes)
-            expected = log_probability(table[query], sequence.codes)
-            assert sequence.log_probability == pytest.approx(expected, abs=1e-4)
-
-
-def test_samples_repeat_by_seed_and_sharpen_with_temperature():
-    def draw(seed, temperature=1.0):
-        rng = np.random.default_rng(seed)
-        return sample_sequences(TableDecoder(tables(1)), 100, rng, temperature=temperature, max_length=6)[0]
-
-    assert draw(0) == draw(0) != draw(1)
-    assert len({sequence.codes for sequence in draw(0)}) > 20
-    greedy = beam_search(TableDecoder(tables(1)), beams=1, max_length=6)[0]
-    assert {sequence.codes for sequence in draw(0, 1e-3)} == {greedy.codes}
+    sequence = beam_search(TableDecoder(table), beams=2, max_length=5)[0]
+    assert not sequence.finished
+    assert len(sequence.codes) == 5 and is_allowed(sequence.codes)
 
 
 @pytest.mark.parametrize(
@@ -172,13 +139,6 @@ def test_bad_options_of_the_search(arguments, message):
         beam_search(TableDecoder(tables(0)), **arguments)
 
 
-@pytest.mark.parametrize("arguments", [{"count": 0}, {"count": 1, "temperature": 0.0}])
-def test_bad_options_of_sampling(arguments):
-    with pytest.raises(InvalidInputError, match="give at least 1, above 0"):
-        sample_sequences(TableDecoder(tables(0)), rng=np.random.default_rng(0), **arguments)
-
-
 def test_logits_that_are_not_finite_are_refused():
-    for search in (beam_search, lambda d: sample_sequences(d, 1, np.random.default_rng(0))):
-        with pytest.raises(InvalidInputError, match="not finite"):
-            search(TableDecoder(np.full((1, STEPS, CODES + 1, CODES + 2), np.nan)))
+    with pytest.raises(InvalidInputError, match="not finite"):
+        beam_search(TableDecoder(np.full((1, STEPS, CODES + 1, CODES + 2), np.nan)))

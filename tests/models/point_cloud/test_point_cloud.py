@@ -79,17 +79,16 @@ def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):
             torch.testing.assert_close(level.centres[b, m], centre)
 
 
-def test_encoder_returns_both_levels_and_trains(points):
+def test_encoder_thins_twice_and_trains(points):
     encoder = PointCloudEncoder(
         PointCloudConfig(
-            sa1=SetAbstractionConfig(count=30, radius=0.3, widths=(8, 12)),
-            sa2=SetAbstractionConfig(count=100, radius=0.5, widths=(8, 6)),
+            sa1=SetAbstractionConfig(ratio=0.5, radius=0.3, widths=(8, 12)),
+            sa2=SetAbstractionConfig(ratio=0.1, radius=0.5, widths=(8, 6)),
         )
     )
     tokens = encoder(points)
-    assert tokens.fine.features.shape == (2, 30, 12)
-    assert tokens.coarse.features.shape == (2, 30, 6)  # fewer points than asked for
-    tokens.coarse.features.sum().backward()
+    assert tokens.features.shape == (2, 3, 6)
+    tokens.features.sum().backward()
     assert not [name for name, p in encoder.named_parameters() if p.grad is None]
 
 

@@ -21,7 +21,7 @@ from cvqmpt_lab.models.config import (
 )
 from cvqmpt_lab.models.decoding.beam_search import beam_search
 from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.dictionary.gaussian_decoder import GaussianDecoder, diagonal_gaussians
+from cvqmpt_lab.models.dictionary.gaussian_decoder import GaussianDecoder
 from cvqmpt_lab.models.dictionary.quantizer import Quantized, Quantizer
 from cvqmpt_lab.models.dictionary.trajectory_encoder import TrajectoryEncoder
 from cvqmpt_lab.models.published.attention import FeedForward, MultiHeadAttention, sinusoid_table
@@ -190,13 +190,8 @@ def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
         torch.testing.assert_close(gaussians.mean[i], mean)
         u = torch.rand(7)
         reference = torch.distributions.MultivariateNormal(mean, sigma)
-        torch.testing.assert_close(gaussians[i].log_prob(u), reference.log_prob(u), rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(gaussians.log_prob(u)[i], reference.log_prob(u), rtol=1e-4, atol=1e-4)
         torch.testing.assert_close(gaussians.entropy()[i], reference.entropy())
-
-
-def test_diagonal_gaussians():
-    gaussians = diagonal_gaussians(torch.zeros(2, 3), torch.tensor([[0.0, 1.0, -1.0]]).expand(2, 3))
-    torch.testing.assert_close(gaussians.covariance[0], torch.diag(torch.tensor([0.0, 2.0, -2.0]).exp()))
 
 
 def test_stage1_loss_masks_padding():
@@ -206,12 +201,9 @@ def test_stage1_loss_masks_padding():
     with torch.no_grad():
         output = dictionary(u)
     loss = stage1_loss(output, u, visible, commitment=0.25)
-    nll = sum(
-        -float(output.gaussians[b, t].log_prob(u[b, t])) for b in range(2) for t in range(6) if visible[b, t]
-    )
-    entropy = sum(
-        float(output.gaussians[b, t].entropy()) for b in range(2) for t in range(6) if visible[b, t]
-    )
+    log_prob, entropies = output.gaussians.log_prob(u), output.gaussians.entropy()
+    seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
+    nll, entropy = -sum(float(log_prob[at]) for at in seen), sum(float(entropies[at]) for at in seen)
     assert float(loss.negative_log_likelihood) == pytest.approx(nll / 2, rel=1e-5)
     assert float(loss.negative_entropy) == pytest.approx(-entropy / 2, rel=1e-5)
     distance = (output.quantized.latent - output.quantized.quantized).square().sum(-1)
@@ -344,7 +336,8 @@ def test_config_survives_json(config):
         (("speed",), 3, "model.speed is unknown"),
         (("dictionary", "n_codes"), None, "model.dictionary.n_codes is None"),
         (("point_cloud", "sa1", "widths"), [3], "must be a list of 2"),
-        (("point_cloud", "sa1", "count"), 3, "give ratio or count"),
+        (("point_cloud", "sa1", "ratio"), 1.5, "a ratio of at most 1"),
+        (("sequence",), None, "has no sequence model; use kind 'published'"),
         (("point_cloud",), 3, "must be an object"),
         (("feature_dim",), 24, "kind 'published' has no feature_dim"),
         (("sequence", "transformer", "d_model"), 8, "one latent width"),
@@ -360,6 +353,6 @@ def test_config_names_the_wrong_field(path, value, message):
         from_plain(ModelConfig, data, "model", complete=True)
 
 
-def test_compact_refuses_a_published_context():
-    with pytest.raises(InvalidInputError, match="has no sequence"):
+def test_compact_refuses_a_sequence_model():
+    with pytest.raises(InvalidInputError, match="kind 'compact' has no point_cloud and no sequence"):
         dataclasses.replace(ModelConfig(), kind="compact")

@@ -1,1 +1,0 @@
-"""The compact sequence model, its heads and its inference."""
