@@ -21,7 +21,6 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
-from cvqmpt_lab.training.small_network import SmallNetworkSettings, train_sequences
 from experiments.bench.sequences import entropies
 from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
@@ -77,6 +76,8 @@ def measure_learning_curve(
 
 
 def _learned(steps: Steps) -> SmallNetwork:
+    from cvqmpt_lab.training.small_network import SmallNetworkSettings, train_sequences  # torch: not to plan
+
     settings = SmallNetworkSettings(batch=BATCH, epochs=-(-UPDATES * BATCH // len(steps.count)))
     return SmallNetwork.of(train_sequences(steps.features, steps.count, steps.right, 0, settings))
 
