@@ -35,7 +35,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "roadmap": ("search.sight", "search.lazy_roadmap"),
     "sequences": ("search.code_graph", "search.code_sequences", "search.walk"),
-    "cloud": ("points",),
     "labels": ("search.edge_verdicts",),
 }  # fmt: skip
 """What is compiled together, by modules of this room."""

@@ -25,8 +25,7 @@ from experiments.bench.sequences import entropies
 from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
-from experiments.labels.part_training import PATHS
-from experiments.labels.sequence_examples import Steps, training_steps
+from experiments.labels.sequence_examples import PATHS, Steps, training_steps
 from paper_tables.comparison import REFERENCE
 
 LEARNING_CURVE = "learning-curve"

@@ -22,11 +22,10 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE
 from cvqmpt_lab.training.small_network import train_sequences, train_sight
-from experiments.labels.sequence_examples import Steps, training_steps
+from experiments.labels.sequence_examples import PATHS, Steps, training_steps
 from experiments.labels.sight_examples import training_examples
 
 Part = TypeVar("Part")
-PATHS = 40  # of each scene
 
 
 @dataclass(frozen=True)

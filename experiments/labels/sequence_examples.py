@@ -16,6 +16,7 @@ from experiments.labels.labelled_scenes import unpacked
 from experiments.labels.sight_examples import training_scenes
 
 WAYS = 48  # on from a code, that are kept
+PATHS = 40  # of each scene
 
 
 class LabelledPath(NamedTuple):

@@ -1,0 +1,55 @@
+"""Machine code on disk: every entry has a place in it, it is told from damaged files, and loading it needs no numba."""
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab import kernels
+from cvqmpt_lab.kernels import objects
+from cvqmpt_lab.kernels.entry import Entry
+from cvqmpt_lab.kernels.manifold.kinematics import write_link_poses
+
+ROOM = Path(kernels.__file__).parent
+MODULES = [
+    ".".join(path.relative_to(ROOM).with_suffix("").parts)
+    for path in sorted(ROOM.rglob("*.py"))
+    if path.name != "__init__.py"
+]
+
+
+def test_every_entry_is_compiled_in_the_group_of_its_module():
+    grouped = [module for modules in objects.GROUPS.values() for module in modules]
+    assert len(grouped) == len(set(grouped))
+    for module in MODULES:
+        own = import_module(objects.ROOM + module)
+        entries = [e for e in vars(own).values() if isinstance(e, Entry) and e.__module__ == own.__name__]
+        assert bool(entries) == (module in grouped), module
+
+
+def test_a_damaged_file_is_compiled_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr(objects, "folder", lambda: tmp_path)
+    path = objects._path("poses")
+    objects._functions.__wrapped__("poses")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    functions = objects._functions.__wrapped__("poses")
+    assert set(functions) == {write_link_poses.symbol} and len(path.read_bytes()) > len(whole) // 2
+
+
+def test_wrong_members_of_a_bundle_are_refused_by_the_machine_code_itself(problem):
+    kinematics, (n,) = problem.robot.kinematics, problem.start.shape
+    rest = problem.start[None].copy(), np.empty((1, n + 1, 3, 3)), np.empty((1, n + 1, 3))
+    for wrong in (np.zeros(n), np.zeros((n, 1), dtype=np.int64), None):
+        with pytest.raises(TypeError, match="another type"):
+            write_link_poses.unchecked(kinematics._replace(parent=wrong), *rest)
+
+
+def test_planning_with_machine_code_on_disk_imports_no_numba():
+    plan = "import sys; from cli.main import main; main(['plan', 'place-task', '--problem', '3']); "
+    code = plan + "print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "False"
