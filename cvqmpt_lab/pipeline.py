@@ -64,10 +64,12 @@ def solve(
     simplification: SimplifySettings | None = None,
     clearance: bool = True,
     optimize: Budget | None = None,
+    new_scene: bool = False,
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed.
 
     optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
+    new_scene: the method is charged for all that it makes of the cloud, although it may remember the scene.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def solve(
     check_problem(problem)
     require_fit(method, problem)
     stages = method.stages(problem)
-    observation = _observe(stages, problem)
+    observation = _observe(stages, problem, new_scene)
     _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
     _log.info("cloud of %s points", "no" if observation.cloud is None else len(observation.cloud))
     space, rng = ConstrainedSpace(problem, backend), np.random.default_rng(seed)
@@ -153,11 +155,11 @@ def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
     return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
 
 
-def _observe(stages: Stages, problem: PlanningProblem) -> Observation:
+def _observe(stages: Stages, problem: PlanningProblem, new: bool) -> Observation:
     """What the method sees of the problem's world."""
     began = time.perf_counter()
     cloud = None if stages.observe is None else stages.observe(problem)
-    return Observation(cloud, time.perf_counter() - began)
+    return Observation(cloud, time.perf_counter() - began, new)
 
 
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:

@@ -21,6 +21,7 @@ from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor import SensedProblem
+from experiments.suites.table import suite_named
 
 Item = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 """What a suite is made of."""
@@ -80,8 +81,20 @@ def outcome_of(run: Run, item: Item, goal_seconds: float) -> Outcome:
         return Outcome(phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes]))
     if isinstance(item, SensedProblem):
         return _sensed(run, item)
-    solution = solve(item, run.method, run.budget, run.seed, backend=run.backend, optimize=run.optimize)
+    solution = _solved(run, item)
     return Outcome([result_row(run, solution, goal_seconds)], _states([solution]))
+
+
+def _solved(run: Run, problem: PlanningProblem) -> Solution:
+    return solve(
+        problem,
+        run.method,
+        run.budget,
+        run.seed,
+        backend=run.backend,
+        optimize=run.optimize,
+        new_scene=suite_named(run.suite).new_scenes,
+    )
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
@@ -91,9 +104,7 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 def _sensed(run: Run, item: SensedProblem) -> Outcome:
     """A problem in a map, whose path is also judged in the scene that the map is of."""
     began = time.perf_counter()
-    solution = solve(
-        item.problem, run.method, run.budget, run.seed, backend=run.backend, optimize=run.optimize
-    )
+    solution = _solved(run, item.problem)
     whole = item.seconds + time.perf_counter() - began
     row = replace(result_row(run, solution, 0.0), t_sense_s=item.seconds, t_whole_s=whole)
     if solution.simplified is None:

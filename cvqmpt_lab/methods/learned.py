@@ -12,12 +12,12 @@ import numpy as np
 from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
 from cvqmpt_lab.methods.loaded import (
     EYES,
+    another_scene,
     codebook_of,
     dictionary_roadmap,
     eyes_of,
     model_of,
     observer,
-    showing_another_scene,
     wide_observer,
 )
 from cvqmpt_lab.methods.method import Stages, Weights
@@ -60,7 +60,7 @@ class PredictedCodes:
         """Predict; the timings say what the networks took."""
         assert observation.cloud is not None
         goals = query.nearest_goals(GOALS)
-        prediction = self.predictor.predict(observation.cloud, query.start, goals)
+        prediction = self.predictor.predict(observation.cloud, query.start, goals, observation.new)
         lost = len(prediction.unfinished)
         detail = f"{len(prediction.codes)} codes" + (
             f", none to {lost} of {len(goals)} goals" if lost else ""
@@ -134,7 +134,7 @@ def roadmap_path(wrong: bool = False, blind: bool = False, told: bool = False) -
             return Stages(predict=RoadmapPath(roadmap, told=told))
         return Stages(
             predict=RoadmapPath(roadmap, see=partial(_sight, weights)),
-            observe=showing_another_scene(wide_observer()) if wrong else wide_observer(),
+            observe=another_scene if wrong else wide_observer(),
         )
 
     return build
@@ -143,7 +143,9 @@ def roadmap_path(wrong: bool = False, blind: bool = False, told: bool = False) -
 def _sight(weights: Weights, query: Query, observation: Observation) -> Sight:
     """What the robot, and what it carries, sees in the cloud."""
     assert observation.cloud is not None
-    return eyes_of(weights, query.space.robot, query.space.problem.attachments).look(observation.cloud)
+    return eyes_of(weights, query.space.robot, query.space.problem.attachments).look(
+        observation.cloud, observation.new
+    )
 
 
 def roadmap_mixture(name: str, check: bool, update: bool = False) -> Build:

@@ -1,12 +1,12 @@
 """Weights, dictionaries, eyes and observers: loaded or made once a process, before any clock starts."""
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.method import CloudOf, Weights
+from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.models.stored import StoredModel, read_model
 from cvqmpt_lab.planning.code_graph import SeenGraph
@@ -58,13 +58,14 @@ def wide_observer() -> Observer:
     return Observer(CameraSettings.like_training(POINTS_SEEN))
 
 
-def showing_another_scene(observer: Observer) -> CloudOf:
-    """Gives the cloud of another scene than the problem's."""
-    return partial(_wrong_cloud, observer)
+def another_scene(problem: PlanningProblem) -> np.ndarray:
+    """The cloud of another scene than the problem's."""
+    return wide_observer()(replace(problem, scene=family_scene(*WRONG_SCENE)))
 
 
-def _wrong_cloud(observer: Observer, problem: PlanningProblem) -> np.ndarray:
-    return observer(replace(problem, scene=family_scene(*WRONG_SCENE)))
+def no_cloud(problem: PlanningProblem) -> np.ndarray:
+    """No cloud at all."""
+    return np.empty((0, 3))
 
 
 @lru_cache(maxsize=8)

@@ -16,7 +16,6 @@ from cvqmpt_lab.methods.loaded import (
     drawn_noise,
     model_of,
     seen_dictionary,
-    showing_another_scene,
     small_network,
     wide_observer,
 )
@@ -28,7 +27,6 @@ from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.prediction.codebook import Codebook, drawn_nodes, widened
 from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 
 WIDTH = 1.1  # [rad] no Gaussian that is sampled from is narrower in any direction; chosen on the tuning environments
@@ -113,13 +111,3 @@ def sequences(
 def _seen(weights: Weights, query: Query) -> SeenGraph:
     """The dictionary before the eyes of the query's robot and what it carries."""
     return seen_dictionary(weights, query.space.robot, query.space.problem.attachments)
-
-
-def no_cloud(problem: PlanningProblem) -> np.ndarray:
-    """No cloud at all."""
-    return np.empty((0, 3))
-
-
-def another_scene(problem: PlanningProblem) -> np.ndarray:
-    """The cloud of another scene."""
-    return showing_another_scene(wide_observer())(problem)

@@ -32,13 +32,13 @@ def _learned(name: str, of: Callable[[ModuleType], Callable[..., Stages]], kind:
 
 
 def _sequences(name: str, cloud: str | None = None, **options: Any) -> Method:
-    """CVQ-MPT by sequences on the dictionary's graph; cloud: name of a function of `methods.sequences`."""
+    """CVQ-MPT by sequences on the dictionary's graph; cloud: name of a function of `methods.loaded`."""
 
     def build(robot: Robot, weights: Weights | None) -> Stages:
-        from cvqmpt_lab.methods import sequences
+        from cvqmpt_lab.methods import loaded, sequences
 
         assert weights is not None
-        shown = None if cloud is None else getattr(sequences, cloud)
+        shown = None if cloud is None else getattr(loaded, cloud)
         return sequences.sequences(name, cloud=shown, **options)(robot, weights)
 
     return Method(name, build, Weights("vq_mpt"))

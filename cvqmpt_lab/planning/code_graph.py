@@ -55,9 +55,9 @@ class SeenGraph:
         ball_cells(eyes.robot.kinematics, eyes.blank, states, self._cells)
         self._priced: OrderedDict[bytes, np.ndarray] = OrderedDict()
 
-    def features(self, cloud: np.ndarray) -> np.ndarray:
-        """Inputs (E, n + 1) of the eyes' network for all edges."""
-        sight, n = self.eyes.look(cloud), self.eyes.robot.dof
+    def features(self, cloud: np.ndarray, anew: bool = False) -> np.ndarray:
+        """Inputs (E, n + 1) of the eyes' network for all edges; anew: see `Eyes.look`."""
+        sight, n = self.eyes.look(cloud, anew), self.eyes.robot.dof
         clearance = np.empty((len(self._cells), n))
         look_at_cells(sight, sight.distance.reshape(-1), self._cells, clearance)
         features = np.empty((len(self._length), n + 1))
@@ -68,7 +68,7 @@ class SeenGraph:
         """-log P(free) (E,) of all edges; those of the latest clouds are remembered. anew: look again all the same."""
         key = cloud.tobytes()
         if anew or key not in self._priced:
-            self._priced[key] = np.logaddexp(0.0, -self.eyes.network(self.features(cloud)))
+            self._priced[key] = np.logaddexp(0.0, -self.eyes.network(self.features(cloud, anew)))
             if len(self._priced) > CLOUDS:
                 self._priced.popitem(last=False)
         self._priced.move_to_end(key)

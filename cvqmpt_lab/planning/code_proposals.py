@@ -51,7 +51,7 @@ class PredictedSequences:
         """Predict, walk."""
         assert observation.cloud is not None
         clock, began = query.allowance, query.allowance.seconds
-        self.seen(query).prices(observation.cloud)
+        self.seen(query).prices(observation.cloud, observation.new)
         encoded = clock.seconds
         walker, predicted = self.predicted(query, observation)
         asked, path, walked = clock.seconds, None, 0

@@ -74,7 +74,7 @@ class SequenceSearch:
         """
         if network.inputs != FEATURES:
             raise InvalidInputError(f"a sequence network reads {FEATURES} numbers; this one {network.inputs}")
-        self.graph, self._network, self._settings = seen.graph(cloud), network.arrays(), settings
+        self.graph, self._network = seen.graph(cloud), network.arrays()
         self.question = _question(self.graph, start, goals, settings, factor)
         exit_node = np.repeat(
             np.arange(len(self.graph.nodes), dtype=np.int32), np.diff(self.question.exit_first)

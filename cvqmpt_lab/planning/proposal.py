@@ -23,6 +23,8 @@ class Observation:
     """(m, 3) [m, robot base frame]; None for methods that do not look."""
     seconds: float = 0.0
     """What looking took; a camera's work, charged to nobody."""
+    new: bool = False
+    """What is made of the cloud is made anew, and charged, although it may have been seen lately."""
 
 
 @dataclass(frozen=True, eq=False)

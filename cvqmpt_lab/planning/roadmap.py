@@ -73,19 +73,16 @@ class RoadmapQuery:
         start: np.ndarray,
         goals: np.ndarray,
         settings: RoadmapSettings,
-        blocked: np.ndarray | None = None,
         sight: Sight | None = None,
     ) -> None:
         """Link start (n,) and goals (k, n) to the roadmap.
 
-        blocked: (N,) bool, nodes to leave out. sight: what the robot sees, None to believe every edge alike.
+        sight: what the robot sees, None to believe every edge alike.
         """
         self._settings, self._space, self._arrays = settings, space, space.arrays._replace(step=settings.step)
         self._sight, self._caution = (blind(len(start)), 0.0) if sight is None else (sight, settings.caution)
         self._ends, self.searches = (start, goals), 0
         verdict = np.full(len(roadmap.nodes), kernels.UNKNOWN, dtype=np.int8)
-        if blocked is not None:
-            verdict[blocked] = kernels.BLOCKED
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
 
     def _set_up(self, nodes: np.ndarray, table: np.ndarray, verdict: np.ndarray) -> None:

@@ -107,17 +107,14 @@ class RoadmapMixture:
     paths: int = 6
     """Number of diverse paths."""
     uniform_share: float = 0.15
-    blocked: Callable[[Query, Observation], np.ndarray] | None = None
-    """Tells which nodes (N,) bool to leave out, without checking them."""
     move: Callable[[Query, np.ndarray], Gaussians] | None = None
     """Gives other Gaussians for nodes (r,)."""
     settings: RoadmapSettings = field(default_factory=lambda: RoadmapSettings(penalty=0.0))
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Search paths, then sample around all their nodes."""
-        blocked = self.blocked(query, observation) if self.blocked else None
         free = query.space.unconstrained()
-        asked = RoadmapQuery(free, self.roadmap, query.start, query.goals, self.settings, blocked)
+        asked = RoadmapQuery(free, self.roadmap, query.start, query.goals, self.settings)
         rows = [asked.next_path(query.allowance, self.check)[1] for _ in range(self.paths)]
         chosen = np.unique(np.concatenate(rows))
         gaussians = Gaussians(asked.configurations(chosen), self.roadmap.covariances[chosen])

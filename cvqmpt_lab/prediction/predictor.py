@@ -59,8 +59,8 @@ class Predictor:
         self._length = self.settings.max_length or model.config.stage2[1].max_length
         self._scenes: OrderedDict[str, Any] = OrderedDict()
 
-    def encode_scene(self, cloud: np.ndarray) -> EncodedScene:
-        """Encode a cloud (m, 3) [m, robot base frame], or find it among the latest ones.
+    def encode_scene(self, cloud: np.ndarray, anew: bool = False) -> EncodedScene:
+        """Encode a cloud (m, 3) [m, robot base frame], or, unless anew, find it among the latest ones.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Predictor:
         began = time.perf_counter()
         points = checked_cloud(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
-        cached = key in self._scenes
+        cached = key in self._scenes and not anew
         if cached:
             self._scenes.move_to_end(key)
         else:
@@ -79,8 +79,12 @@ class Predictor:
                 self._scenes.popitem(last=False)
         return EncodedScene(self._scenes[key], cached, time.perf_counter() - began)
 
-    def predict(self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> Prediction:
+    def predict(
+        self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, anew: bool = False
+    ) -> Prediction:
         """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
+
+        anew: see `encode_scene`.
 
         Raises
         ------
@@ -88,7 +92,7 @@ class Predictor:
             For a cloud that `encode_scene` refuses, or a start or goal that is no configuration of the robot.
         """
         start, goals = self._checked(start, goals)
-        encoded = self.encode_scene(cloud)
+        encoded = self.encode_scene(cloud, anew)
         began = time.perf_counter()
         settings = self.settings
         ends = self.codebook.configurations.of(np.vstack((start[None], goals)))

@@ -12,6 +12,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.kernels.search.edge_verdicts import edge_verdicts
 from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.planning.code_graph import CodeEdges
+from cvqmpt_lab.planning.code_sequences import nearest_rows
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.robot.robot import Robot
@@ -74,9 +76,7 @@ class _Paths:
 
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     """Nodes and undirected edges of a roadmap, and which of them the robot itself allows."""
-    count, k = roadmap.neighbours.shape
-    pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
-    edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
+    edges = CodeEdges.of(roadmap).edges
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges)
     assert checked is not None  # nothing is near
@@ -153,8 +153,7 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
 
 def _links(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Edges (l, 2) int32 between each end, numbered after the nodes, and its nearest nodes."""
-    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
-    nearest = np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
+    nearest = nearest_rows(nodes, ends, LINKS)
     rows = len(nodes) + np.arange(len(ends))
     return np.stack([np.repeat(rows, LINKS), nearest.ravel()], axis=1).astype(np.int32)
 

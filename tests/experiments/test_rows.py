@@ -8,13 +8,15 @@ import pytest
 from cvqmpt_lab.certificate import Fault, FaultKind
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.method import Method
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning import sight
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.results.row import FailReason, read_rows
 from experiments.rows import Run, failed_rows, outcome_of, path_hash, result_row
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.table import suite_named
 from paper_tables.committed import committed_directories
 
 RUN = Run("suite", 0, "thinking", 0, Budget(iterations=1))
@@ -102,3 +104,17 @@ def test_committed_rows_load_and_add_up():
     for path in files:
         for row in read_rows(path):
             assert (row.t_total_s or 0.0) == pytest.approx(sum(getattr(row, part) or 0.0 for part in PARTS))
+
+
+@pytest.mark.parametrize(("suite", "looks"), [("family-shelves", [1, 1]), ("place-task", [0, 0])])
+def test_every_planner_looks_at_a_new_scene_for_itself_and_at_a_known_one_once(monkeypatch, suite, looks):
+    counted = []
+    fill = sight.fill_distances
+    monkeypatch.setattr(sight, "fill_distances", lambda *given: counted.append(given) or fill(*given))
+    runs = [Run(suite, 0, name, 0, Budget(iterations=1)) for name in ("roadmap-cvq", "cvq-mpt", "cvq-route")]
+    item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
+    for run in runs:
+        before = len(counted)
+        outcome_of(run, item, 0.0)
+        found.append(len(counted) - before)
+    assert found[1:] == looks
