@@ -23,6 +23,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, write_bytes
+from cvqmpt_lab.kept import sources_digest
 from cvqmpt_lab.kernels.annotations import Compilable
 
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -46,16 +47,8 @@ NDARRAY = "cvqmpt_ndarray"
 _DIGEST = 32  # bytes at the head of a file
 
 
-def _sources_digest() -> str:
-    """Hash of every file of this folder and those in it, in hexadecimal."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(str(path.relative_to(Path(__file__).parent)).encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-SOURCES = _sources_digest()
+SOURCES = sources_digest(Path(__file__).parent)
+"""Of all kernels."""
 
 
 @functools.cache
@@ -155,6 +148,11 @@ def loaded(code: bytes, symbols: tuple[str, ...]) -> dict[str, Callable[[tuple],
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    for error in (
+        TypeError,
+        RuntimeError,
+    ):  # by these names numba means the objects, C the variables that hold them
+        llvm.add_symbol(f"PyExc_{error.__name__}", id(error))
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     ctypes.c_int64.from_address(engine.get_global_value_address(NDARRAY)).value = id(np.ndarray)

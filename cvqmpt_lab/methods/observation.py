@@ -1,12 +1,17 @@
 """The point cloud that a planner with a network is given of a problem."""
 
+import json
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kept import kept_arrays, sources_digest
 from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -25,8 +30,8 @@ class Observer:
     """Gives the cloud of a problem's scene; the same scene gives the same cloud.
 
     Virtual cameras look at a scene made of shapes. Of a scene that holds clouds or occupancy maps these are used,
-    with what the cameras see of its other shapes. Casting rays takes a second, a camera's cloud nothing: planners
-    look before their clock starts, and scenes seen lately are remembered.
+    with what the cameras see of its other shapes. Casting rays takes half a second, a camera's cloud nothing: planners
+    look before their clock starts, scenes seen lately are remembered, and rendered clouds kept in the user's cache.
     """
 
     def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
@@ -74,11 +79,24 @@ class Observer:
             rest = scene.without(*(item.name for item in clouds))
             seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
             return self.of_points(np.concatenate([_world_points(clouds), seen]))
-        cloud = camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
+        cloud = kept_arrays("clouds", self._made_of(scene), lambda: {"cloud": self._rendered(scene)})["cloud"]
         if len(cloud) < FEWEST:
             cloud = np.concatenate([cloud, BELOW])
         cloud.setflags(write=False)
         return cloud
+
+    def _rendered(self, scene: Scene) -> np.ndarray:
+        return camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
+
+    def _made_of(self, scene: Scene) -> bytes:
+        return f"{_sources()} {self.settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
+
+
+@cache
+def _sources() -> str:
+    """What clouds are rendered by."""
+    library = Path(__file__).parents[1]
+    return f"{sources_digest(library / 'cameras', library / 'scene')} {np.__version__}"
 
 
 def shown(method: Method, points: np.ndarray) -> Method:

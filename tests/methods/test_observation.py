@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab import kept
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.kept import kept_arrays
+from cvqmpt_lab.methods import observation
 from cvqmpt_lab.methods.method import Method, Stages
 from cvqmpt_lab.methods.observation import Observer, shown
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.cameras import camera_cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 
@@ -64,3 +68,24 @@ def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem
         InvalidInputError, match=r"none of the cloud's 5000 points.*in the frame of the robot's base"
     ):
         Observer().of_points(POINTS + 9.0)
+
+
+def test_a_rendered_cloud_is_kept_on_disk_and_the_same_from_there(tmp_path, monkeypatch, problem):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    rendered = []
+    monkeypatch.setattr(
+        observation, "camera_cloud", lambda *given: rendered.append(given) or camera_cloud(*given)
+    )
+    first, again = Observer()(problem), Observer()(problem)
+    np.testing.assert_array_equal(first, again)
+    assert len(rendered) == 1 and not again.flags.writeable
+    changed = replace(problem, scene=problem.scene.without(problem.scene.names[0]))
+    assert len(Observer()(changed)) and len(Observer(seed=1)(problem)) and len(rendered) == 3
+
+
+def test_of_kept_clouds_the_oldest_are_forgotten(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kept, "MOST", 2)
+    for key in (b"a", b"b", b"c"):
+        kept_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)})
+    assert len(list((tmp_path / "cvqmpt_lab" / "things").iterdir())) == 2

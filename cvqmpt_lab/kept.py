@@ -1,0 +1,57 @@
+"""Arrays that take long to make, kept in the user's cache: each file is named after all that its arrays are made of."""
+
+import contextlib
+import hashlib
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import cache_folder, make_folder, replacing
+
+MOST = 256
+"""Files of one kind; the oldest go first."""
+
+
+def sources_digest(*places: Path) -> str:
+    """Hash of every source file in folders, or of single files, in hexadecimal."""
+    digest = hashlib.sha256()
+    for place in places:
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(str(path.relative_to(place.parent)).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def kept_arrays(
+    kind: str, made_of: bytes, make: Callable[[], Mapping[str, np.ndarray]]
+) -> dict[str, np.ndarray]:
+    """What `make` returns, read from the cache where it is there.
+
+    Parameters
+    ----------
+    kind: folder of the cache. made_of: everything that the arrays depend on, the sources that make them included.
+    """
+    path = cache_folder() / kind / f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
+    with (
+        contextlib.suppress(OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile),
+        np.load(path) as found,
+    ):
+        return dict(found)
+    made: dict[str, Any] = dict(make())
+    with contextlib.suppress(InvalidInputError):  # no place for it: made again the next time
+        make_folder(path.parent)
+        with replacing(path) as temporary, temporary.open("wb") as handle:
+            np.savez(handle, **made)
+        _forget_oldest(path.parent)
+    return made
+
+
+def _forget_oldest(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # another process forgets them, too
+        files = sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
+        for path in files[:-MOST]:
+            path.unlink()
