@@ -4,7 +4,7 @@ Pure functions of rows. A run's work is its projections and state checks, which 
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
@@ -13,6 +13,7 @@ import numpy as np
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
     Interval,
+    ProblemKey,
     geometric_mean_interval,
     mean_of_solved,
     median_interval,
@@ -120,7 +121,7 @@ def paired_ratio(
     rows: Iterable[ResultRow],
     baseline: Iterable[ResultRow],
     value: Value,
-    problems: Collection[str] | None = None,
+    counted: Callable[[ResultRow], bool] | None = None,
 ) -> Interval:
     """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
 
@@ -129,14 +130,14 @@ def paired_ratio(
 
     Parameters
     ----------
-    problems
-        Names of those to count; all when None.
+    counted
+        Which rows count; all when None.
     """
     reference = {problem_key(row): value(row) for row in baseline if row.solved}
     logs: dict[str, list[float]] = {}
     for row in rows:
         own, other = value(row) if row.solved else None, reference.get(problem_key(row))
-        if own and other and min(own, other) > 0.0 and (problems is None or row.problem in problems):
+        if own and other and min(own, other) > 0.0 and (counted is None or counted(row)):
             logs.setdefault(row.problem, []).append(math.log(own / other))
     ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
     return geometric_mean_interval(ratios, np.random.default_rng(0))
@@ -144,33 +145,42 @@ def paired_ratio(
 
 @dataclass(frozen=True)
 class Split:
-    """Names of the easy and the hard problems."""
+    """Easy and hard runs, by problem and seed."""
 
-    easy: frozenset[str]
-    hard: frozenset[str]
+    easy: frozenset[ProblemKey]
+    hard: frozenset[ProblemKey]
 
     @property
-    def parts(self) -> Mapping[str, frozenset[str]]:
-        """All problems, the easy ones, the hard ones."""
+    def parts(self) -> Mapping[str, frozenset[ProblemKey]]:
+        """All runs, the easy ones, the hard ones."""
         return {"all": self.easy | self.hard, "easy": self.easy, "hard": self.hard}
 
 
 def split_by_work(reference: Iterable[ResultRow]) -> Split:
-    """Split the problems of one planner's rows: hard are those above two thirds of the others in median work.
+    """Split the runs of one planner: hard are those whose problem is above two thirds of the others in median work.
 
-    The median is over seeds; a failed run's work is infinite. At most a third are hard: ties are easy.
-    Problems whose rows do not say their work are left out.
+    The median is over the planner's other seeds, so that a problem is not called hard because of the very run that
+    others are compared with; with one seed it is that one. A failed run's work is infinite. At most a third are hard:
+    ties are easy. Runs of problems whose rows do not say their work are left out.
     """
+    rows = [row for row in reference if not row.solved or work(row) is not None]
+    hard: set[ProblemKey] = set()
+    for seed in {row.seed for row in rows}:
+        problems = _hard_problems([row for row in rows if row.seed != seed] or rows)
+        hard |= {problem_key(row) for row in rows if row.seed == seed and row.problem in problems}
+    return Split(frozenset(map(problem_key, rows)) - hard, frozenset(hard))
+
+
+def _hard_problems(rows: Iterable[ResultRow]) -> frozenset[str]:
     efforts: dict[str, list[float]] = {}
-    for row in reference:
+    for row in rows:
         effort = work(row) if row.solved else math.inf
-        if effort is not None:
-            efforts.setdefault(row.problem, []).append(effort)
+        assert effort is not None
+        efforts.setdefault(row.problem, []).append(effort)
     medians = {problem: median(values) for problem, values in efforts.items()}
     ordered = sorted(medians.values())
     last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
-    hard = frozenset(problem for problem, effort in medians.items() if effort > ordered[last_easy])
-    return Split(frozenset(medians) - hard, hard)
+    return frozenset(problem for problem, effort in medians.items() if effort > ordered[last_easy])
 
 
 def split_metric(ratio: str, part: str) -> str:

@@ -95,7 +95,7 @@ def _split_lines(table: PlaceTable) -> Lines:
     """Ratios on all, easy and hard problems, for every planner but the one they are against."""
     sizes = {"all": table.n_easy + table.n_hard, "easy": table.n_easy, "hard": table.n_hard}
     return [
-        ["planner", "problems", *(label for label, _ in RATIOS.values())],
+        ["planner", "runs", *(label for label, _ in RATIOS.values())],
         *(
             [planner.name, f"{part} ({size})", *(planner.cell(split_metric(name, part)) for name in RATIOS)]
             for planner in table.planners

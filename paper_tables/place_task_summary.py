@@ -72,8 +72,13 @@ def _ratio(value: Value, baseline: str, part: str | None = None) -> Callable[[Ru
     """Against a baseline, on a part of the split or everywhere."""
 
     def measure(runs: Runs) -> Interval:
-        problems = None if part is None else runs.split.parts[part]
-        return paired_ratio(runs.rows, runs.baselines.get(baseline, ()), value, problems)
+        counted = None if part is None else runs.split.parts[part]
+        return paired_ratio(
+            runs.rows,
+            runs.baselines.get(baseline, ()),
+            value,
+            None if counted is None else lambda row: problem_key(row) in counted,
+        )
 
     return measure
 
@@ -159,9 +164,9 @@ METHOD_NOTES = (
     f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, itself and obstacles), "
     f"{1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower bound), networks as measured "
     "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
-    f"Easy and hard: hard are the problems in the top third by the work (projections + state checks) of {REFERENCE} "
-    "with uniform samples, median over seeds. Ratios are geometric means over problems that both solved, bootstrap "
-    "intervals; time includes goal inverse kinematics, which is the same for all.",
+    "Easy and hard: hard are runs of problems in the top third by the work (projections + state checks) of "
+    f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are geometric means over problems "
+    "that both solved, bootstrap intervals; time includes goal inverse kinematics, which is the same for all.",
 )
 
 
@@ -179,7 +184,7 @@ class PlaceTable:
     footnotes: tuple[str, ...]
     published_notes: tuple[str, ...]
     n_easy: int
-    """Problems by the work of `comparison.REFERENCE`; 0 where that was not run."""
+    """Runs by the work of `comparison.REFERENCE`; 0 where that was not run."""
     n_hard: int
 
 

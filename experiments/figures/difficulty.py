@@ -94,7 +94,9 @@ def _measures(
     """What is drawn of a planner's rows on some problems."""
 
     def ratio(name: str) -> Callable[[Sequence[ResultRow], frozenset[str]], Interval]:
-        return lambda rows, part: paired_ratio(rows, reference, RATIOS[name][1], part)
+        return lambda rows, part: paired_ratio(
+            rows, reference, RATIOS[name][1], lambda row: row.problem in part
+        )
 
     def solved(rows: Sequence[ResultRow], part: frozenset[str]) -> Interval:
         return share([row for row in rows if row.problem in part], attrgetter("solved"))
