@@ -200,7 +200,10 @@ class _Run:
         self.runs += 1
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
-        return solve(problem, method, self.budget, seed, backend=self.backend, clearance=self.clearance)
+        # Each phase looks anew at a world that the one before has changed, even if an equal one was seen before.
+        return solve(
+            problem, method, self.budget, seed, backend=self.backend, clearance=self.clearance, new_scene=True
+        )
 
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:
         """The outcome with its motion in time, whose rounded corners are certified too; or why there is none."""

@@ -118,3 +118,14 @@ def test_every_planner_looks_at_a_new_scene_for_itself_and_at_a_known_one_once(m
         outcome_of(run, item, 0.0)
         found.append(len(counted) - before)
     assert found[1:] == looks
+
+
+def test_the_world_of_a_phase_is_looked_at_by_every_planner(monkeypatch):
+    counted = []
+    fill = sight.fill_distances
+    monkeypatch.setattr(sight, "fill_distances", lambda *given: counted.append(given) or fill(*given))
+    task = multi_sequence_task(0)
+    for name in ("roadmap-cvq", "cvq-route"):
+        before = len(counted)
+        outcome_of(Run("multi-sequence", 0, name, 0, Budget(iterations=20_000)), task, 0.0)
+        assert len(counted) >= before + 4, name
