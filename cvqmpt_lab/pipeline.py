@@ -66,7 +66,7 @@ def solve(
     optimize: Budget | None = None,
     new_scene: bool = False,
 ) -> Solution:
-    """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed.
+    """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and start.
 
     optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
     new_scene: the method is charged for all that it makes of the cloud, although it may remember the scene.
@@ -92,7 +92,7 @@ def solve(
     observation = _observe(stages, problem, new_scene)
     _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
     _log.info("cloud of %s points", "no" if observation.cloud is None else len(observation.cloud))
-    space, rng = ConstrainedSpace(problem, backend), np.random.default_rng(seed)
+    space, rng = ConstrainedSpace(problem, backend), problem.random_stream(seed)
 
     query = Query.of(space, budget, rng)
     proposal = stages.predict(query, observation)
@@ -113,7 +113,7 @@ def solve(
     found = Solution(problem, plan, shorter, certificate, goal_seconds, observation.seconds)
     if optimize is None:
         return found
-    rng = np.random.default_rng([seed, 1])
+    rng = problem.random_stream(seed, 1)
     best, improvement = improve(
         space, stages.search, proposal.distribution, shorter.path, optimize, rng, simplification
     )
@@ -182,6 +182,6 @@ def drawn_goals(problem: PlanningProblem) -> GoalSample:
     Where the hand holds a door, goals have the door where the hand takes it, and an arm posture like the
     start's: most other postures can only be reached by letting go.
     """
-    rng = np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64))
+    rng = problem.random_stream()
     held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
     return sample_goals(problem, rng, MAX_GOALS, within=held, near=problem.start if held else None)

@@ -174,6 +174,13 @@ class PlanningProblem(Document):
         """The same problem with goal configurations (k, n)."""
         return replace(self, goals=goals)
 
+    def random_stream(self, *keys: int) -> np.random.Generator:
+        """Random numbers of keys (a seed) and this problem's start: one seed draws others for every problem.
+
+        Without keys it is the same for every planner and seed, as goals have to be.
+        """
+        return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
+
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """The exact checker of this problem's world; closer than margin [m] counts as touching."""
         return shared_checker(self.robot, self.scene, self.attachments, margin)

@@ -171,8 +171,8 @@ CLAIMS = (
         {"controls": _table_one(place.PAPERS_UPDATE), "histogram": _updated},
         (("projections", "cvq-mpt"), ("g", "the codes as predicted")),
         "G(q) is the squared violation of the constraint. The paper's update is our control `opt-algorithm-2`; what we "
-        "call `opt-cvq-mpt` projects codes before it judges sequences of them; the histogram is of draws around them. "
-        "They are 1.1 rad wide, so that G(q) of draws falls little where that of the codes themselves falls to 0.",
+        "call `opt-cvq-mpt` projects codes before it judges sequences of them. The histogram is of the Gaussians as "
+        "the decoder gives them; planners sample wider ones (1.1 rad), which hardly notice the update.",
     ),
     Claim(
         "generalises to sensor data without training",

@@ -56,7 +56,12 @@ class Eyes:
             distance = np.empty_like(self.blank.distance)
             points = np.array(cloud, dtype=float, order="C")  # read-only arrays would be compiled for anew
             fill_distances(
-                points, LOWER, CELL, np.empty((2, 3), np.int64), np.empty(distance.shape), distance
+                points,
+                LOWER,
+                CELL,
+                np.empty((2, 3), np.int64),
+                np.empty(distance.shape, np.float32),
+                distance,
             )
             self._seen[key] = self.blank._replace(distance=distance)
             if len(self._seen) > CLOUDS:

@@ -133,7 +133,7 @@ def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: i
         problem.robot,
         problem.goal_region,
         _checker(problem),
-        np.random.default_rng(np.abs(problem.start * 1e6).astype(np.uint64)),
+        problem.random_stream(),
         count,
         max_poses=poses,
         within=problem.constraint if isinstance(phase, Turn) else (),

@@ -1,8 +1,7 @@
-"""The Gaussians that `opt-cvq-mpt` samples for one problem, before and after it moves their codes, and draws of both.
+"""The Gaussians of the codes that `cvq-mpt` predicts for one problem, before and after the paper's Algorithm 2.
 
-A model's sequences are judged again once their codes' nodes are projected onto the constraint; a model of the authors'
-architecture moves its codes by the paper's algorithm 2. The draws come from the same standard normal numbers before and
-after, so that what differs is the update and not luck.
+They are as the decoder gives them: planners widen them before they sample. The draws come from the same standard normal
+numbers before and after, so that what differs is the update and not luck.
 """
 
 from collections.abc import Mapping
@@ -11,19 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.constraints.constraint import Constraint
-from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.loaded import dictionary_roadmap
+from cvqmpt_lab.methods.loaded import codebook_of
+from cvqmpt_lab.methods.sequences import STEPS
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planning.code_proposals import CodeProposal
-from cvqmpt_lab.planning.proposal import Observation, Proposal
+from cvqmpt_lab.planning.proposal import Observation
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.problem import PlanningProblem
 
-PLANNER = "opt-cvq-mpt"
+PLANNER = "cvq-mpt"
 ENOUGH = Budget(seconds=60.0)
 FAR, NEAR = "far", "near"
 RANKS: Mapping[str, float] = {FAR: 0.9, NEAR: 0.1}
@@ -62,7 +62,7 @@ class Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class CodeUpdate:
-    """What a planner samples before and after its update."""
+    """What a model says of some codes before and after the update."""
 
     problem: PlanningProblem
     """With its goals."""
@@ -119,12 +119,10 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
             f"problem {problem.name}: the model predicted {len(codes)} codes, {len(RANKS)} are compared; "
             "choose another problem or model"
         )
-    if stages.update is None:  # what was predicted has moved already
-        after = _gaussians(proposal, len(codes))
-        before = Gaussians(dictionary_roadmap(method.weights, problem.robot).nodes[codes], after.scales)
-    else:
-        both = (proposal, stages.update(query, proposal))
-        before, after = (_gaussians(each, len(codes)) for each in both)
+    codebook = codebook_of(method.weights, problem.robot)
+    z = codebook.vectors[codes]
+    moved = LatentOptimizer(codebook, LatentSettings(steps=STEPS)).optimize(z, problem.manifold, planned)
+    before, after = (_gaussians(*codebook.gaussians(each)) for each in (z, moved.z))
     noise = drawn.standard_normal((settings.samples, problem.robot.dof))
     constraint = problem.manifold
     return CodeUpdate(
@@ -141,11 +139,8 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
     )
 
 
-def _gaussians(proposal: Proposal, count: int) -> Gaussians:
-    """The first Gaussians of what a proposal samples: those of its codes."""
-    mixture = proposal.distribution
-    assert isinstance(mixture, GaussianMixture)
-    return Gaussians(mixture.means[:count], np.linalg.cholesky(mixture.covariances[:count]))
+def _gaussians(means: np.ndarray, covariances: np.ndarray) -> Gaussians:
+    return Gaussians(means, np.linalg.cholesky(covariances))
 
 
 def squared_residual(constraint: Constraint, q: np.ndarray) -> np.ndarray:
