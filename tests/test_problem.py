@@ -54,6 +54,14 @@ def refused(pattern, data, error=InvalidInputError):
     assert "\n" not in str(caught.value)
 
 
+def test_a_seed_draws_the_same_for_one_problem_and_others_for_another():
+    one, other = place_problem(0), place_problem(1)
+    draws = [problem.random_stream(3).random(4) for problem in (one, place_problem(0), other)]
+    np.testing.assert_array_equal(draws[0], draws[1])
+    assert not np.isin(draws[0], draws[2]).any()
+    assert not np.isin(draws[0], [one.random_stream(4).random(4), one.random_stream().random(4)]).any()
+
+
 def test_json_round_trip_is_exact(data, tmp_path):
     problem = PlanningProblem.from_dict(data)
     assert digest(problem.to_dict()) == digest(data)
