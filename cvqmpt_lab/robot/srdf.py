@@ -4,7 +4,6 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_text
@@ -37,8 +36,10 @@ def read_srdf(path: Path) -> tuple[LeftOut, ...]:
 
 def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:
     """An SRDF file that leaves out these pairs."""
-    lines = [
-        f"  <disable_collisions link1={quoteattr(p.first)} link2={quoteattr(p.second)} reason={quoteattr(p.reason)}/>"
-        for p in pairs
-    ]
-    return "\n".join(['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>", *lines, "</robot>\n"])
+    robot = ElementTree.Element("robot", name=name)
+    for pair in pairs:
+        ElementTree.SubElement(
+            robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason
+        )
+    ElementTree.indent(robot)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
