@@ -90,6 +90,8 @@ def certify(
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.largest > TOLERANCE:
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
+        if max(violation.radians, violation.metres) <= TOLERANCE:
+            text += f" where it was looked at, not shown to be less than {violation.largest:.2g} in between"
         faults.append(Fault(FaultKind.MANIFOLD, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
         text = f"in collision: {checker.colliding_pair(proof.colliding)}"

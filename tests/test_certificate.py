@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import LARGEST_STEP, TOLERANCE, certify
+from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.constraints.between_states import evenly_spaced
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.poses import pose
@@ -31,6 +32,14 @@ def test_a_planned_path_is_accepted(problem, solution, states):
     assert 10 < certificate.states_checked < solution.simplified.path.length / 0.01
     assert certificate.unproven_rad == 0.0
     assert np.isnan(certify(problem, JointPath(states), clearance=False).min_clearance_m)
+
+
+def test_what_was_not_shown_between_states_is_not_called_off_the_manifold_there(problem, states, monkeypatch):
+    monkeypatch.setattr(between_states, "ROUNDS", 0)
+    (reason,) = reasons(problem, states)
+    assert reason.startswith(
+        "off the manifold by 0 rad, 0 m where it was looked at, not shown to be less than"
+    )
 
 
 def sampled_collisions(checker, states, spacing):

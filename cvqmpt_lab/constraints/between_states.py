@@ -50,7 +50,8 @@ def largest_violation(
             if use.outside.max() > tolerance or not doubtful.any():
                 break
             allowed = np.maximum(tolerance - use.highest, 1e-3 * use.between)
-            parts = np.clip(np.ceil(np.sqrt(use.between / allowed)), 2, MOST_PARTS).astype(int)
+            ratio = use.between / allowed
+            parts = np.clip(np.ceil(np.where(use.flips, ratio, np.sqrt(ratio))), 2, MOST_PARTS).astype(int)
             counts = np.where(doubtful, parts, 1)
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
             x, new = np.empty((len(q), 6)), np.ones(len(q), dtype=bool)
@@ -95,6 +96,8 @@ class _Use:
     """(m - 1,) the larger `outside` of a stretch's ends [m, rad]."""
     between: np.ndarray
     """(m - 1,) what may be added inside the stretch [m, rad]."""
+    flips: np.ndarray
+    """(m - 1,) bool, where the rotation vector may change its sign: what may be added is then of first order."""
 
 
 def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) -> _Use:
@@ -119,4 +122,5 @@ def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) ->
         max(float(excess[:, :3].max()), 0.0),
         np.maximum(outside[:-1], outside[1:]),
         between,
+        flips,
     )
