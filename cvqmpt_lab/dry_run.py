@@ -21,7 +21,7 @@ FLAT = 1e-6
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
 """Share by which limits may be passed: a motion that `time_path` timed to its limits bends up to 4 % harder in cubic
 pieces, which know only its positions and velocities, than the accelerations that it states."""
-MOST_PIECES = 500_000
+MOST_PIECES = 100_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.collision.clusters import Cloud
 from cvqmpt_lab.kernels.collision.geometry import (
     CELL,
@@ -14,12 +15,14 @@ from cvqmpt_lab.kernels.collision.geometry import (
     scene_geometry,
 )
 from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, SPHERE
-from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
+from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline
+from cvqmpt_lab.kernels.collision.sphere_cover import ANY_RADIUS
 from cvqmpt_lab.planning.stored_geometry import stored_robot_geometry
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cells import MOST_BALLS, cells_of, merged
 from cvqmpt_lab.scene.exact_checker import carried_pairs
+from cvqmpt_lab.scene.exact_shapes import reach_with
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import (
     Box,
@@ -32,24 +35,45 @@ from cvqmpt_lab.scene.shapes import (
 )
 
 NO_VERTICES = np.empty((0, 3))
+MOST_BLOCKS = 2000
+"""As large as the pieces that shapes are cut into: a metre and a fifth cubed."""
 MOST_CELLS = 256
 """Of the distance grid, along an edge: a long reach has coarser cells instead of more memory."""
 
 
 @lru_cache(maxsize=8)
 def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> RobotGeometry:
-    """Convex pieces of the robot and of what it carries."""
+    """Convex pieces of the robot and of what it carries.
+
+    InvalidInputError, before anything is cut, for what is too long or too large.
+    """
+    reach_with(robot, attachments)
     specs = [ShapeSpec(HULL, (), piece.vertices, piece.T_link_geometry) for piece in robot.links]
+    for spec, piece in zip(specs, robot.links, strict=True):
+        _require_few_pieces(f"link geometry {piece.name!r}", spec)
     links = [piece.link for piece in robot.links]
     hand, T_link_hand = robot.end_effector_link
     rows = []
     for item in attachments:
         carried = _specs(item.shape, T_link_hand @ item.T_hand_object)
+        for spec in carried:
+            _require_few_pieces(f"attachment {item.name!r}", spec)
         rows.append(range(len(specs), len(specs) + len(carried)))
         specs.extend(carried)
         links.extend([hand] * len(carried))
     pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
     return stored_robot_geometry(specs, links, [*robot.self_collision_pairs, *pairs])
+
+
+def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
+    """InvalidInputError for a shape that would be cut into thousands of pieces, which takes seconds to hours."""
+    points, swelling = outline(spec._replace(T_owner_shape=np.eye(4)))
+    size = np.ptp(points, axis=0)
+    if swelling == 0.0 and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
+        raise InvalidInputError(
+            f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan with: give sizes in "
+            f"metres"
+        )
 
 
 @lru_cache(maxsize=8)

@@ -57,8 +57,8 @@ def _killed_training(kills: int) -> Trial:
 
 
 def _left(session: int) -> bool:
-    """Whether a process of a session is still there two seconds later; it is ended then."""
-    for _ in range(40):
+    """Whether a process of a session is still there ten seconds later; it is ended then."""
+    for _ in range(200):
         try:
             os.killpg(session, 0)
         except ProcessLookupError:

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.errors import InvalidProblemError
+from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning import collision_arrays
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, Cylinder
 
 MARGIN = SpaceSettings().margin
 ENOUGH = Budget(iterations=20_000)
@@ -89,3 +91,23 @@ def test_what_touches_is_not_doubtful_but_refused(problem):
     assert space.doubtful == () and not space.valid(blocked.start)
     with pytest.raises(InvalidProblemError, match=r"start is in collision: .*block"):
         solve(blocked, "birrt", ENOUGH, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        (Cylinder(3e7, 0.1), r"attachment 'can' reaches 3e\+07 m, more than 20"),
+        (
+            Cylinder(5.0, 5.0),
+            r"attachment 'can' is .* 5 m large, too large to plan with: give sizes in metres",
+        ),
+        (Box((15.0, 15.0, 0.01)), r"attachment 'can' is 15 x 15 x .* m large"),
+    ],
+)
+def test_what_is_too_large_to_carry_is_named_before_it_is_cut_into_pieces(
+    problem, monkeypatch, shape, message
+):
+    monkeypatch.setattr(collision_arrays, "stored_robot_geometry", lambda *given: pytest.fail("it was cut"))
+    carried = (Attachment("can", shape, np.eye(4)),)
+    with pytest.raises(InvalidInputError, match=message):
+        collision_arrays.robot_arrays(problem.robot, carried)
