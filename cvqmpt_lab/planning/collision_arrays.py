@@ -66,7 +66,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
 
 def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
-    """InvalidInputError for a shape that would be cut into thousands of pieces, which takes seconds to hours."""
+    """InvalidInputError for a shape that would be cut into thousands of pieces: seconds, and soon minutes."""
     points, swelling = outline(spec._replace(T_owner_shape=np.eye(4)))
     size = np.ptp(points, axis=0)
     if swelling == 0.0 and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
