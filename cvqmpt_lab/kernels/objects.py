@@ -148,10 +148,8 @@ def loaded(code: bytes, symbols: tuple[str, ...]) -> dict[str, Callable[[tuple],
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    for error in (
-        TypeError,
-        RuntimeError,
-    ):  # by these names numba means the objects, C the variables that hold them
+    # By these names numba means the objects, C the variables that hold them.
+    for error in (TypeError, RuntimeError):
         llvm.add_symbol(f"PyExc_{error.__name__}", id(error))
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()

@@ -62,12 +62,14 @@ def fill_distances(
             at = (points[i, a] - origin[a]) / cell - 0.5
             low[a] = max(int(np.ceil(at - REACH / cell)), 0)
             high[a] = min(int(np.floor(at + REACH / cell)) + 1, square.shape[a])
+        if high[2] <= low[2]:
+            continue
         below = np.float32(origin[2] + (low[2] + 0.5) * cell - points[i, 2])
         for x in range(low[0], high[0]):
             dx = origin[0] + (x + 0.5) * cell - points[i, 0]
             for y in range(low[1], high[1]):
                 dy = origin[1] + (y + 0.5) * cell - points[i, 1]
-                if dx * dx + dy * dy > REACH * REACH or high[2] <= low[2]:
+                if dx * dx + dy * dy > REACH * REACH:
                     continue
                 across, column = np.float32(dx * dx + dy * dy), square[x, y, low[2] : high[2]]
                 for z in range(column.shape[0]):  # a loop that vector instructions can take
