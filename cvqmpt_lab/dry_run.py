@@ -22,6 +22,8 @@ OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
 """Share by which limits may be passed: a motion that `time_path` timed to its limits bends up to 4 % harder in cubic
 pieces, which know only its positions and velocities, than the accelerations that it states."""
 MOST_PIECES = 100_000
+HARDEST = 1e3
+"""Times its limit that a joint may accelerate to be followed: beyond it, units are wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +59,9 @@ def dry_run(
     usable = states.ndim == 2 and states.shape[1] == problem.robot.dof and np.isfinite(states).all()
     if motion.times is not None and usable:
         trajectory = _trajectory(motion, problem.robot.joint_names)
-        times = _moments(trajectory)
-        states = trajectory.at(times).positions
         limits = problem.robot.joint_limits
+        times = _moments(trajectory, limits)
+        states = trajectory.at(times).positions
         faults = [*_limit_faults(trajectory, motion, limits, times), *_rest_faults(trajectory, limits, times)]
         apart = 2.0 * reach_with(problem.robot, problem.attachments) * problem.robot.dof * FLAT
     if current is not None and usable:
@@ -84,17 +86,21 @@ def _trajectory(motion: Motion, names: tuple[str, ...]) -> Trajectory:
     return Trajectory(names, motion.times - motion.times[0], motion.positions, motion.velocities, zeros)
 
 
-def _moments(trajectory: Trajectory) -> np.ndarray:
+def _moments(trajectory: Trajectory, limits: JointLimits) -> np.ndarray:
     """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration of each piece."""
-    begins, ends = _accelerations(trajectory)
-    most = np.maximum(np.abs(begins), np.abs(ends)).max(axis=1)
-    spans = np.diff(trajectory.times)
-    pieces = np.maximum(np.ceil(spans * np.sqrt(most / (8.0 * FLAT))), 1.0)
-    if not pieces.sum() <= MOST_PIECES:
-        worst = int(pieces.argmax())
+    most = np.maximum(*map(np.abs, _accelerations(trajectory)))
+    if not (most <= HARDEST * limits.acceleration).all():
+        worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
         raise InvalidInputError(
-            f"from point {worst} on a joint accelerates by {most[worst]:.3g} rad/s^2: too much to follow; "
-            f"are times in seconds and angles in radians?"
+            f"from point {worst} on {limits.joint_names[joint]} accelerates by {most[worst, joint]:.3g} rad/s^2, "
+            f"its limit is {limits.acceleration[joint]:.3g}: too much to follow; are units right?"
+        )
+    spans = np.diff(trajectory.times)
+    pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * FLAT))), 1.0)
+    if pieces.sum() > MOST_PIECES:
+        raise InvalidInputError(
+            f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} straight pieces; at most "
+            f"{MOST_PIECES} are: certify it in parts; are times in seconds?"
         )
     cuts = [
         t + span * np.arange(count) / count
@@ -104,11 +110,12 @@ def _moments(trajectory: Trajectory) -> np.ndarray:
 
 
 def _accelerations(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """At the begin and the end of every cubic piece, (k, n) each [rad/s^2]."""
+    """At the begin and the end of every cubic piece, (k, n) each [rad/s^2]; inf or nan beyond what numbers hold."""
     h = np.diff(trajectory.times)[:, None]
-    mean = np.diff(trajectory.positions, axis=0) / h
     v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]
-    return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * mean) / h
+    with np.errstate(all="ignore"):
+        mean = np.diff(trajectory.positions, axis=0) / h
+        return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * mean) / h
 
 
 def _limit_faults(

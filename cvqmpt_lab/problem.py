@@ -45,6 +45,7 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.files.by_path import with_files_read
 from cvqmpt_lab.scene.scene import NamedScene, Scene
 
+MOST_REGIONS = 32  # of one constraint
 CONTRADICTION = 1e-3  # [m, rad] that a given goal may lie outside the goal region
 
 
@@ -131,6 +132,11 @@ class PlanningProblem(Document):
                     f"{self.name}: {what!r} hangs on {region.base!r}, which moves; give one in the world: "
                     f"TaskSpaceRegionChain.at(pose of {region.base!r})"
                 )
+        if len(self.constraint) > MOST_REGIONS:
+            raise InvalidProblemError(
+                f"{self.name}: a constraint of {len(self.constraint)} regions; at most {MOST_REGIONS} can be kept at "
+                "once: leave out those that others say already"
+            )
         for region in self.constraint:
             region.reference_link(self.robot)  # raises UnknownChoiceError for a frame that does not exist
 

@@ -183,6 +183,12 @@ def test_what_the_hand_carries_has_names_of_its_own(data):
     refused("'carried_can' occurs twice", changed(data, ("attachments",), data["attachments"] * 2))
 
 
+def test_a_constraint_of_a_hundred_regions_is_refused(data):
+    refused(
+        "a constraint of 100 regions; at most 32", changed(data, ("constraint",), data["constraint"] * 100)
+    )
+
+
 def test_joints_outside_their_limits_are_named(data):
     refused("start.*panda_joint4 by 0.1698", changed(data, ("start", 3), 0.1))
     refused("goal 1.*panda_joint1 by 0.1027", changed(data, ("goals", 1, 0), -3.0), InvalidProblemError)

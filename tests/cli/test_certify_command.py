@@ -272,6 +272,25 @@ def test_a_trajectory_without_velocities_or_with_times_that_go_back_is_one_line(
     )
 
 
+def test_a_trajectory_in_other_units_is_one_line(tmp_path, capsys, trajectory):
+    """Of milliseconds, that a second is called; and one that swings for a quarter of an hour."""
+    quick = replace(trajectory, times=trajectory.times / 1000.0, velocities=trajectory.velocities * 1000.0)
+    (tmp_path / "quick.csv").write_text(as_csv(quick))
+    line = refused(capsys, "certify", tmp_path / "quick.csv", "place-task")
+    assert "accelerates by" in line and "its limit is" in line and "are units right" in line
+    ends = [0, -1]
+    swinging = replace(
+        trajectory,
+        times=np.array([0.0, 1000.0]),
+        positions=trajectory.positions[ends],
+        velocities=np.full((2, 7), 20.0),
+        accelerations=trajectory.accelerations[ends],
+    )
+    (tmp_path / "swinging.csv").write_text(as_csv(swinging))
+    line = refused(capsys, "certify", tmp_path / "swinging.csv", "place-task")
+    assert "straight pieces; at most 100000 are" in line
+
+
 def test_a_pipe_or_a_device_is_no_motion(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "device.csv").symlink_to("/dev/zero")
