@@ -1,8 +1,6 @@
 """Near-shortest paths by restarts, each among fewer configurations than the last: the labels of training data.
 
-Once a path of length c is known, a shorter one can only pass through configurations x with
-|x - start| + |x - goal| < c, a prolate hyperspheroid (Gammell, Srinivasa and Barfoot 2014). Later restarts
-sample there alone, and the best path is shortened until that stops helping.
+Restarts sample where a path shorter than the best known can pass alone, and that is shortened until it stops helping.
 """
 
 from dataclasses import dataclass
@@ -12,31 +10,9 @@ import numpy as np
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, JointPath
+from cvqmpt_lab.planning.short_ways import Spheroid
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
-
-
-@dataclass(frozen=True, eq=False)
-class Spheroid:
-    """Uniform over configurations on motions no longer than `length` from start to goal, clipped to the limits."""
-
-    start: np.ndarray
-    goal: np.ndarray
-    length: float
-    lower: np.ndarray
-    upper: np.ndarray
-    name: str = "spheroid"
-
-    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw configurations (count, n)."""
-        n, along = len(self.start), self.goal - self.start
-        straight = float(np.linalg.norm(along))
-        ball = rng.normal(size=(count, n))
-        ball *= (rng.random((count, 1)) ** (1.0 / n)) / np.linalg.norm(ball, axis=1, keepdims=True)
-        across = 0.5 * np.sqrt(max(self.length**2 - straight**2, 0.0))
-        axis = along / straight
-        stretched = across * ball + np.outer((0.5 * self.length - across) * (ball @ axis), axis)
-        return np.clip(0.5 * (self.start + self.goal) + stretched, self.lower, self.upper)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
-"""Time left after a first path: more searches with other luck among ever shorter detours, and more shortening."""
+"""Time left after a first path: more searches with other luck where a shorter one can be, and more shortening."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,36 +10,14 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planning.allowance import Allowance
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.planning.search import Search
+from cvqmpt_lab.planning.short_ways import LEAST, Detours, ShortWays, Spheroid
 from cvqmpt_lab.planning.simplify import SWEEP, SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 
-CROWD = 4  # samples drawn for one that is used
+STRETCHES = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
+"""Times the straight line's length, up to the best path's: short ways to each goal are looked for in this order."""
+AMONG, NARROW = 200, 60  # iterations of a search among all that may be shorter, and of one for short ways
 GAIN = 0.002  # of its length that shortening must take off a path to be tried again
-
-
-@dataclass(frozen=True, eq=False)
-class Detours:
-    """Samples of another distribution that may lie on a way shorter than `length` come first."""
-
-    base: SamplingDistribution
-    start: np.ndarray
-    """(n,) [rad or m]."""
-    goals: np.ndarray
-    """(k, n) [rad or m]."""
-    length: float
-    """Of the best path known [rad]."""
-
-    @property
-    def name(self) -> str:
-        """That of the distribution."""
-        return self.base.name
-
-    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw configurations (count, n)."""
-        drawn = self.base.sample(rng, CROWD * count)
-        to_goal = np.linalg.norm(drawn[:, None] - self.goals, axis=2).min(axis=1)
-        too_long = np.linalg.norm(drawn - self.start, axis=1) + to_goal > self.length
-        return drawn[np.argsort(too_long, kind="stable")[:count]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,31 +61,66 @@ def improve(
 ) -> tuple[JointPath, Improvement]:
     """The best path that restarts and shortening find within a budget, never longer than the first; and what it took.
 
+    Every other search looks for short ways near straight lines to the goals, which coarse samples miss.
+
     Parameters
     ----------
     distribution: what the first search drew from.
     first: on the manifold, free and shortened.
     """
-    allowance, problem = Allowance(budget, space), space.problem
+    allowance = Allowance(budget, space)
     best, lengths, searches, fresh = first, [(0.0, first.length)], 0, True
     while allowance.spent() is None:
-        rest = allowance.rest()
-        if fresh:
-            found: JointPath | None = best
-        else:
-            nearer = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1) < best.length]
-            if not len(nearer):
+        found: JointPath | None = best
+        if not fresh:
+            attempt = _attempt(space, distribution, searches, best.length)
+            if attempt is None:
                 break  # the path is straight
-            shorter = Detours(distribution, problem.start, nearer, best.length)
-            found = method.search(space, problem.start, nearer, shorter, rest, rng).path
+            rest = allowance.rest()
+            bounded = replace(rest, iterations=min(attempt.iterations, rest.iterations or attempt.iterations))
+            found = method.search(
+                space, space.problem.start, attempt.goals, attempt.samples, bounded, rng
+            ).path
             searches += 1
         allowance.count()  # so that a round without iterations ends, too
         if found is None:
             continue
-        bounded = replace(settings or SimplifySettings(), attempts=SWEEP, seconds=allowance.rest().seconds)
-        found = simplify(space, found, rng, bounded).path
+        sweep = replace(settings or SimplifySettings(), attempts=SWEEP, seconds=allowance.rest().seconds)
+        found = simplify(space, found, rng, sweep).path
         fresh = found.length < (1.0 - GAIN) * best.length
         if found.length < best.length:
             best = found
             lengths.append((allowance.seconds, best.length))
     return best, Improvement(budget, allowance.seconds, allowance.iterations, searches, tuple(lengths))
+
+
+class _Attempt(NamedTuple):
+    """What one search is asked."""
+
+    goals: np.ndarray
+    """(k, n) [rad or m]."""
+    samples: SamplingDistribution
+    iterations: int
+    """At most."""
+
+
+def _attempt(
+    space: ConstrainedSpace, distribution: SamplingDistribution, number: int, length: float
+) -> _Attempt | None:
+    """Where that search after the first path looks for one shorter than `length` [rad]; None if there is none."""
+    problem, robot = space.problem, space.robot
+    straight = np.maximum(np.linalg.norm(problem.goals - problem.start, axis=1), LEAST)
+    nearer = straight < length
+    if not nearer.any():
+        return None
+    if number % 2 == 0:
+        goals = problem.goals[nearer]
+        return _Attempt(goals, Detours(distribution, problem.start, goals, length), AMONG)
+    reach = np.minimum(STRETCHES[number // 2 % len(STRETCHES)] * straight, length)
+    short = reach < length
+    goals, reach = (values[short if short.any() else nearer] for values in (problem.goals, reach))
+    ways = (
+        Spheroid(problem.start, goal, most, robot.lower, robot.upper)
+        for goal, most in zip(goals, reach.tolist(), strict=True)
+    )
+    return _Attempt(goals, ShortWays(tuple(ways)), NARROW)

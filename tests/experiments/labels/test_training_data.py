@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
-from cvqmpt_lab.planning.near_shortest import NearShortestSettings, Spheroid, near_shortest
+from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
@@ -161,15 +161,6 @@ def test_bad_input_is_named(capsys, tmp_path, options, says):
 def test_unknown_families_are_listed():
     with pytest.raises(UnknownChoiceError, match="shelves"):
         family_scene("castle", 0)
-
-
-def test_spheroid_keeps_detours_short():
-    rng = np.random.default_rng(0)
-    start, goal = np.zeros(7), np.array([1.0, 0.5, 0.0, 0.0, 0.0, -0.5, 0.2])
-    samples = Spheroid(start, goal, 1.5, np.full(7, -9.0), np.full(7, 9.0)).sample(rng, 2000)
-    detour = np.linalg.norm(samples - start, axis=1) + np.linalg.norm(samples - goal, axis=1)
-    assert detour.max() <= 1.5 + 1e-9
-    assert detour.max() > 1.49 and np.abs(samples.mean(axis=0) - goal / 2).max() < 0.02
 
 
 def test_more_restarts_make_shorter_labels():
