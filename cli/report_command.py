@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from cli.options import writable_file
+from cli.options import ProgressBar, writable_file
 from cvqmpt_lab.files import write_text
 
 EXAMPLES = ("cvqmpt report runs/place-task-small", "cvqmpt report paper_tables/results --out report.html")
@@ -28,7 +28,7 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
     """Write the report of results, into their folder unless `out` is given, and return its path."""
     from paper_tables.report.page import report_html  # matplotlib takes a second to import
 
-    text = report_html(directory)
+    text = report_html(directory, ProgressBar("report"))
     out = writable_file(out or directory / NAME)
     write_text(out, text)
     return out

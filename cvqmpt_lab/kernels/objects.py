@@ -11,6 +11,8 @@ import ctypes
 import functools
 import hashlib
 import os
+import re
+import shutil
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -45,6 +47,8 @@ GROUP_OF = {ROOM + module: group for group, modules in GROUPS.items() for module
 NDARRAY = "cvqmpt_ndarray"
 """The variable through which machine code knows arrays."""
 _DIGEST = 32  # bytes at the head of a file
+VERSIONS = 8
+"""Of the kernel sources, whose machine code is kept; the folder of one is touched by every process that uses it."""
 
 
 SOURCES = sources_digest(Path(__file__).parent)
@@ -104,7 +108,17 @@ def _functions(group: str) -> dict[str, Callable[[tuple], Any]]:
     code = _built(entries)
     with contextlib.suppress(InvalidInputError):  # a full disk: compiled anew the next time
         write_bytes(path, hashlib.sha256(code).digest() + code)
+        forget_unused(path.parent.parent)
     return loaded(code, symbols)
+
+
+def forget_unused(place: Path, kept: int = VERSIONS) -> None:
+    """Remove machine code of all but the versions of the sources that were used last."""
+    with contextlib.suppress(OSError):  # another process removes it, too
+        found = [one for one in place.iterdir() if re.fullmatch("[0-9a-f]{16}", one.name) and one.is_dir()]
+        ours = [one for one in found if all(file.suffix == ".o" for file in one.iterdir())]
+        for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
+            shutil.rmtree(old)
 
 
 def _entries(group: str) -> tuple[Compilable, ...]:

@@ -1,6 +1,6 @@
 """The report's html, from sections by a template; whatever comes from rows is escaped there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -15,8 +15,10 @@ STYLES = {"holds": "holds", "holds in part": "part", "does not hold here": "not"
 """Of verdicts."""
 
 
-def report_html(directory: Path) -> str:
+def report_html(directory: Path, report: Callable[[int, int], None] = lambda done, total: None) -> str:
     """One self-contained file about a results directory, or all that are below a folder.
+
+    report: is told how many of them are done.
 
     Raises
     ------
@@ -25,7 +27,11 @@ def report_html(directory: Path) -> str:
     """
     found = evidence_of(Path(directory))
     claims = [item for item in judged_claims(found) if item.verdicts or not item.claim.judges]
-    sections = [section_of(evidence) for evidence in found.values()]
+    sections: list[Section] = []
+    for evidence in found.values():
+        report(len(sections), len(found))
+        sections.append(section_of(evidence))
+    report(len(found), len(found))
     environment = Environment(
         loader=PackageLoader("paper_tables", "report"), autoescape=True, undefined=StrictUndefined
     )

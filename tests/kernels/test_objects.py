@@ -1,5 +1,6 @@
 """Machine code on disk: every entry has a place in it, it is told from damaged files, and loading it needs no numba."""
 
+import os
 import subprocess
 import sys
 from importlib import import_module
@@ -35,6 +36,21 @@ def test_a_damaged_file_is_compiled_anew(tmp_path, monkeypatch):
     path.write_bytes(whole[: len(whole) // 2])
     functions = objects._functions.__wrapped__("poses")
     assert set(functions) == {write_link_poses.symbol} and len(path.read_bytes()) > len(whole) // 2
+
+
+def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_path):
+    for k in range(5):
+        version = tmp_path / f"{k:016x}"
+        version.mkdir()
+        (version / "plan-0.o").touch()
+        os.utime(version, (k, k))
+    for other in ("0123456789abcdef", "clouds"):
+        (tmp_path / other).mkdir()
+        (tmp_path / other / "mine.txt").touch()
+        os.utime(tmp_path / other, (0, 0))
+    objects.forget_unused(tmp_path, kept=2)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {f"{3:016x}", f"{4:016x}", "0123456789abcdef", "clouds"}
 
 
 WRONG_MEMBERS = """
