@@ -1,10 +1,22 @@
 """What annotations of entries say of arrays, see `entry`, and what is asked of an entry to compile it."""
 
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")}
+
+
+class Dispatched(Hashable, Protocol):
+    """A kernel."""
+
+    py_func: Callable
+    """As it is written."""
+
+    @property
+    def dispatcher(self) -> Any:
+        """What numba makes of it."""
 
 
 class Compilable(Protocol):
@@ -14,8 +26,10 @@ class Compilable(Protocol):
     """Under which its machine code is found."""
     names: tuple[str, ...]
     """Of its arguments."""
-    kernel: Any
-    """What is compiled."""
+
+    @property
+    def kernel(self) -> Dispatched:
+        """What is compiled."""
 
 
 class ArrayForm(NamedTuple):

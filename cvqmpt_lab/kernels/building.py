@@ -20,9 +20,8 @@ from numba.core.cpu import CPUContext
 from numba.core.registry import cpu_target
 from numba.np.numpy_support import as_dtype
 
-from cvqmpt_lab.kernels.annotations import Compilable, array_of
-from cvqmpt_lab.kernels.compiling import Kernel
-from cvqmpt_lab.kernels.objects import NDARRAY, loaded
+from cvqmpt_lab.kernels.annotations import Compilable, Dispatched, array_of
+from cvqmpt_lab.kernels.loading import NDARRAY, loaded
 
 WORD, OBJECT = ir.IntType(64), ir.IntType(8).as_pointer()
 DATA, AXES, SHAPE, STRIDES, DESCRIPTION, FLAGS = 16, 24, 32, 40, 56, 64  # bytes into numpy's array object
@@ -77,13 +76,13 @@ def build(entries: Sequence[Compilable]) -> bytes:
     return _object_file([(entry.symbol, entry.kernel, _argument_types(entry)) for entry in entries])
 
 
-def call_compiled(kernel: Kernel, arguments: tuple) -> Any:
+def call_compiled(kernel: Dispatched, arguments: tuple) -> Any:
     """Call a kernel that is no entry, compiled for the types of these arguments."""
     return _compiled(kernel, tuple(typeof(argument) for argument in arguments))(arguments)
 
 
 @functools.cache
-def _compiled(kernel: Kernel, argument_types: tuple[types.Type, ...]) -> Callable[[tuple], Any]:
+def _compiled(kernel: Dispatched, argument_types: tuple[types.Type, ...]) -> Callable[[tuple], Any]:
     return loaded(_object_file([("kernel", kernel, argument_types)]), ("kernel",))["kernel"]
 
 
@@ -113,7 +112,7 @@ def _numba_type(hint: Any) -> types.Type:
 SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 
 
-def _object_file(kernels: Sequence[tuple[str, Kernel, tuple[types.Type, ...]]]) -> bytes:
+def _object_file(kernels: Sequence[tuple[str, Dispatched, tuple[types.Type, ...]]]) -> bytes:
     """Machine code of kernels for argument types, each called by its symbol with a tuple of arguments."""
     with _numba_makes_no_machine_code() as context:
         library = context.codegen().create_library("kernels")

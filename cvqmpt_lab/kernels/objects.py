@@ -7,7 +7,6 @@ everything still works, compiled anew in each process.
 """
 
 import contextlib
-import ctypes
 import functools
 import hashlib
 import os
@@ -27,6 +26,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, write_bytes
 from cvqmpt_lab.kept import sources_digest
 from cvqmpt_lab.kernels.annotations import Compilable
+from cvqmpt_lab.kernels.loading import loaded
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "poses": ("manifold.kinematics",),
@@ -44,8 +44,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 ROOM = __package__ + "."
 GROUP_OF = {ROOM + module: group for group, modules in GROUPS.items() for module in modules}
-NDARRAY = "cvqmpt_ndarray"
-"""The variable through which machine code knows arrays."""
 _DIGEST = 32  # bytes at the head of a file
 VERSIONS = 8
 """Of the kernel sources, whose machine code is kept; the folder of one is touched by every process that uses it."""
@@ -152,24 +150,3 @@ def _machine() -> str:
     parts = [version("numba"), version("llvmlite"), np.__version__, sys.version]
     parts += (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-
-def loaded(code: bytes, symbols: tuple[str, ...]) -> dict[str, Callable[[tuple], Any]]:
-    """Functions of an object file, ready to be called with a tuple of arguments."""
-    import llvmlite.binding as llvm
-
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_default_triple().create_target_machine()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    # By these names numba means the objects, C the variables that hold them.
-    for error in (TypeError, RuntimeError):
-        llvm.add_symbol(f"PyExc_{error.__name__}", id(error))
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    ctypes.c_int64.from_address(engine.get_global_value_address(NDARRAY)).value = id(np.ndarray)
-    prototype = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)
-    functions: dict[str, Any] = {symbol: prototype(engine.get_function_address(symbol)) for symbol in symbols}
-    for call in functions.values():
-        call.engine = engine  # lives as long as its code can be called
-    return functions
