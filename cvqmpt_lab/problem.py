@@ -151,7 +151,7 @@ class PlanningProblem(Document):
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
                 raise InvalidProblemError(
-                    f"{self.name}: {label} is outside the limits: {outside[0]} by {outside[1]:.4f}; move it inside"
+                    f"{self.name}: {label} is outside the limits: {outside[0]} by {outside[1]:.4g}; move it inside"
                 )
 
     def _drawn_start(self) -> FloatArray:

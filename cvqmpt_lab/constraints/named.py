@@ -126,10 +126,10 @@ def _region(T0_w: np.ndarray, Tw_e: np.ndarray, bounds: list[float]) -> TaskSpac
 
 def _along(point: Vector, direction: Vector) -> np.ndarray:
     """A frame (4, 4) at a point whose z axis points along a direction."""
-    length = np.linalg.norm(direction)
-    if length == 0.0:
+    if not any(direction):
         raise InvalidInputError("the direction is 0, 0, 0")
-    z = np.array(direction) / length
+    z = np.ldexp(direction, -np.frexp(np.abs(direction).max())[1])  # of a length whose square is a number
+    z /= np.linalg.norm(z)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
     T = pose(point)

@@ -71,6 +71,13 @@ def test_planes_and_lines_hold_the_position_and_leave_the_rotation_free():
     assert not inside(line, turned(np.array([0.02, 0.0, 0.5]), [0, 0, 0]))
 
 
+@pytest.mark.parametrize("length", [1e-300, 1.0, 1e300])
+def test_a_normal_may_have_any_length(length):
+    with np.errstate(all="raise"):
+        found = region({"plane": {"point": [0, 0, 0.5], "normal": [0, 0.6 * length, 0.8 * length]}})
+    np.testing.assert_allclose(found.T0_w[:3, 2], [0.0, 0.6, 0.8], atol=1e-15)
+
+
 def test_a_pose_may_leave_the_yaw_free():
     data = {"pose": {"at": {"xyz": [0.4, 0, 0.6], "rpy": [np.pi, 0, 0]}, "yaw": 3.15}}
     there = turned((0.4, 0.0, 0.6), [np.pi, 0, 0])

@@ -74,6 +74,7 @@ def test_wrong_members_of_a_bundle_are_refused_by_the_machine_code_itself_withou
 
 
 def test_planning_with_machine_code_on_disk_imports_no_numba():
+    objects.make_ready()
     plan = "import sys; from cli.main import main; main(['plan', 'place-task', '--problem', '3']); "
     assert said_by(plan + "print('numba' in sys.modules)")[-1] == "False"
 
