@@ -20,6 +20,7 @@ EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train sight --data data/roadmap --out runs/seeing",
     "cvqmpt train sequences --data data/roadmap --model runs/seeing --out runs/sequences",
+    "cvqmpt train sequences --data data/roadmap --scenes 300 --constraints 300 --out runs/constrained",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train mpnet --data data/roadmap --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
@@ -54,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", type=positive_int, metavar="N", help=f"for {', '.join(PARTS)}: learn from so many at most"
     )
+    parser.add_argument(
+        "--constraints",
+        type=positive_int,
+        metavar="N",
+        help="for sequences: learn as much from N of these scenes under random constraints, none of a kind that "
+        "`cvqmpt reproduce constraints` plans under; no longer zero-shot, a control (none)",
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
     parser.add_argument("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
@@ -75,6 +83,10 @@ def run(args: argparse.Namespace) -> int:
             raise InvalidInputError(f"give --{name} DIR")
     if args.seed < 0 or args.workers < 0:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
+    if args.constraints and args.stage != "sequences":
+        raise InvalidInputError(
+            f"--constraints {args.constraints} is for sequences; {args.stage} is trained without constraints"
+        )
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
     if args.stage in PARTS:
@@ -113,7 +125,9 @@ def _train_part(args: argparse.Namespace, metadata: dict) -> int:
 
     train = {"sight": part_training.train_eyes, "sequences": part_training.train_code_sequences}[args.stage]
     scenes = args.scenes or PARTS[args.stage]
-    request = part_training.PartRequest(args.data, args.out, args.model, args.seed, scenes, metadata)
+    request = part_training.PartRequest(
+        args.data, args.out, args.model, args.seed, scenes, metadata, args.constraints or 0
+    )
     learned = train(request, ProgressBar(args.stage))
     print(f"learned from {learned} examples; model in {args.out / 'model'}")
     return 0

@@ -1,5 +1,6 @@
 """Weights, dictionaries, eyes and observers: loaded or made once a process, before any clock starts."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 
@@ -44,6 +45,16 @@ def small_network(weights: Weights, part: str) -> SmallNetwork:
             f"cvqmpt train {part}"
         )
     return SmallNetwork.of(parts[part])
+
+
+def require_constrained(weights: Weights) -> None:
+    """Raise InvalidInputError unless a model's sequences were also learned under random constraints."""
+    told = model_of(weights).metadata.get(SEQUENCES)
+    if not (isinstance(told, Mapping) and told.get("constraints")):
+        raise InvalidInputError(
+            f"{weights.model or weights.kind} has no sequences that have seen constraints; train some with "
+            f"cvqmpt train {SEQUENCES} --constraints N"
+        )
 
 
 @lru_cache(maxsize=1)

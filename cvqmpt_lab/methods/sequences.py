@@ -15,11 +15,12 @@ from cvqmpt_lab.methods.loaded import (
     dictionary_roadmap,
     drawn_noise,
     model_of,
+    require_constrained,
     seen_dictionary,
     small_network,
     wide_observer,
 )
-from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
+from cvqmpt_lab.methods.method import CONSTRAINED, CloudOf, Stages, Weights
 from cvqmpt_lab.planning.code_graph import SeenGraph
 from cvqmpt_lab.planning.code_proposals import CodeProposal, PredictedSequences
 from cvqmpt_lab.planning.proposal import Proposal
@@ -88,6 +89,8 @@ def sequences(
     """
 
     def build(robot: Robot, weights: Weights) -> Stages:
+        if weights.kind == CONSTRAINED:
+            require_constrained(weights)
         if model_of(weights).config.kind == "published" and not walks:
             return published(name, STEPS if early else update)(robot, weights)
         network = CHEAPEST if cheapest else small_network(weights, SEQUENCES)

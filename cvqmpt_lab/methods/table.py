@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.methods.method import Method, Stages, Weights
+from cvqmpt_lab.methods.method import CONSTRAINED, Method, Stages, Weights
 from cvqmpt_lab.planning.around_path import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -31,7 +31,7 @@ def _learned(name: str, of: Callable[[ModuleType], Callable[..., Stages]], kind:
     return Method(name, build, Weights(kind))
 
 
-def _sequences(name: str, cloud: str | None = None, **options: Any) -> Method:
+def _sequences(name: str, cloud: str | None = None, kind: str = "vq_mpt", **options: Any) -> Method:
     """CVQ-MPT by sequences on the dictionary's graph; cloud: name of a function of `methods.loaded`."""
 
     def build(robot: Robot, weights: Weights | None) -> Stages:
@@ -41,7 +41,7 @@ def _sequences(name: str, cloud: str | None = None, **options: Any) -> Method:
         shown = None if cloud is None else getattr(loaded, cloud)
         return sequences.sequences(name, cloud=shown, **options)(robot, weights)
 
-    return Method(name, build, Weights("vq_mpt"))
+    return Method(name, build, Weights(kind))
 
 
 def _roadmap_mixture(name: str, **options: bool) -> Method:
@@ -89,6 +89,8 @@ CONTROLS = _by_name(
     _sequences("route-wrong-cloud", walks=12, cloud="another_scene"),
     _sequences("route-no-cloud", walks=12, cloud="no_cloud"),
     _sequences("route-cheapest", walks=12, cheapest=True),
+    _sequences("cvq-constraint-trained", kind=CONSTRAINED, early=True),
+    _sequences("route-constraint-trained", kind=CONSTRAINED, walks=12, early=True),
 )
 
 PUBLISHED = _by_name(_learned("cvq-as-published", lambda learned: learned.as_published("cvq-as-published")))

@@ -12,8 +12,8 @@ from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.robot.robot import Robot
 
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
-SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
-"""Names of the weights that come with the package, and their architectures."""
+SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET, "vq_mpt_constrained": VQ_MPT}
+"""Names of the weights that come with the package, and their architectures; the first of each is the default."""
 
 
 def resolve_model(

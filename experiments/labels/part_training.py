@@ -22,6 +22,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE
 from cvqmpt_lab.training.small_network import train_sequences, train_sight
+from experiments.labels.constrained_examples import constrained_steps
 from experiments.labels.sequence_examples import PATHS, Steps, training_steps
 from experiments.labels.sight_examples import training_examples
 
@@ -43,6 +44,8 @@ class PartRequest:
     """At most."""
     metadata: dict[str, Any]
     """Kept with the weights."""
+    constraints: int = 0
+    """Scenes at most in which sequences are also learned under a random constraint."""
 
 
 def train_eyes(request: PartRequest, on_progress: Callable[[int, int], None]) -> int:
@@ -56,10 +59,11 @@ def train_eyes(request: PartRequest, on_progress: Callable[[int, int], None]) ->
     robot, model = _whose(request)
     eyes = Eyes(SmallNetwork.untrained(robot.dof + 1), robot)
     shards, rng = read_roadmap_shards(request.data), np.random.default_rng(request.seed)
-    examples = list(_counted(training_examples(eyes, shards, request.scenes, rng), request, on_progress))
+    parts = training_examples(eyes, shards, request.scenes, rng)
+    examples = list(_counted(parts, request, request.scenes, on_progress))
     features = np.concatenate([one.features for one in examples])
     free = np.concatenate([one.free for one in examples])
-    _write(request, model, EYES, train_sight(features, free, request.seed), len(examples))
+    _write(request, model, EYES, train_sight(features, free, request.seed), {"scenes": len(examples)})
     return len(free)
 
 
@@ -78,13 +82,31 @@ def train_code_sequences(request: PartRequest, on_progress: Callable[[int, int],
         raise InvalidInputError(
             f"{request.data} holds labels of another dictionary than {request.model or 'shipped'}"
         )
-    found = list(
-        _counted(training_steps(seen, robot, shards, request.scenes, PATHS, rng), request, on_progress)
-    )
-    steps = Steps.together(found)
+    total = request.scenes + request.constraints
+    parts = training_steps(seen, robot, shards, request.scenes, PATHS, rng)
+    found = list(_counted(parts, request, total, on_progress))
+    steps, told = Steps.together(found), {}
+    if request.constraints:
+        families = read_json_object(request.data / DESCRIPTION_FILE)["families"]
+        again = np.random.default_rng([request.seed, 1])
+        parts = constrained_steps(seen, shards, families, request.constraints, PATHS, again)
+        moved = list(_counted(parts, request, total, on_progress, len(found)))
+        steps, told = _half_each(steps, Steps.together(moved), request, again), {"constraints": len(moved)}
     network = train_sequences(steps.features, steps.count, steps.right, request.seed)
-    _write(request, model, SEQUENCES, network, len(found))
+    _write(request, model, SEQUENCES, network, {"scenes": len(found), **told})
     return len(steps.count)
+
+
+def _half_each(free: Steps, moved: Steps, request: PartRequest, rng: np.random.Generator) -> Steps:
+    """As many steps without as under constraints, drawn from what there is more of."""
+    few = min(len(free.count), len(moved.count))
+    if few == 0:
+        raise InvalidInputError(
+            f"no way was found under {request.constraints} random constraints; give more --constraints"
+        )
+    return Steps.together(
+        part.rows(rng.choice(len(part.count), few, replace=False)) for part in (free, moved)
+    )
 
 
 def _whose(request: PartRequest) -> tuple[Robot, StoredModel]:
@@ -96,20 +118,24 @@ def _whose(request: PartRequest) -> tuple[Robot, StoredModel]:
 
 
 def _counted(
-    parts: Iterator[Part], request: PartRequest, on_progress: Callable[[int, int], None]
+    parts: Iterator[Part],
+    request: PartRequest,
+    total: int,
+    on_progress: Callable[[int, int], None],
+    before: int = 0,
 ) -> Iterator[Part]:
-    done = 0
-    for done, part in enumerate(parts, start=1):
-        on_progress(done, request.scenes)
+    done = before
+    for done, part in enumerate(parts, start=before + 1):
+        on_progress(done, total)
         yield part
-    if done == 0:
+    if done == before:
         raise InvalidInputError(f"{request.data} holds no scene to train on; generate more of them")
 
 
 def _write(
-    request: PartRequest, model: StoredModel, name: str, arrays: dict[str, np.ndarray], scenes: int
+    request: PartRequest, model: StoredModel, name: str, arrays: dict[str, np.ndarray], counts: dict[str, int]
 ) -> None:
-    told = {**model.metadata, name: {**request.metadata, "scenes": scenes, "seed": request.seed}}
+    told = {**model.metadata, name: {**request.metadata, **counts, "seed": request.seed}}
     plain = to_plain(model.config, complete=True)
     write_weights(
         request.out / TRAINED_FOLDER, VQ_MPT, plain, model.robot, told, {**model.parts, name: arrays}

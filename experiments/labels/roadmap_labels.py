@@ -55,7 +55,7 @@ class RoadmapLabels:
 
 
 @dataclass(frozen=True, eq=False)
-class _Paths:
+class Paths:
     """Shortest paths from every start to every goal."""
 
     cost: np.ndarray
@@ -112,14 +112,14 @@ def roadmap_labels(
     node_free, edge_free = checked
     ends = _ends(space, rng)
     every = np.argwhere(np.ones((len(ends[:STARTS]), len(ends[STARTS:])), dtype=bool))
-    links = _links(graph.nodes, ends)
+    links = links_to_nearest(graph.nodes, ends)
     nodes = np.concatenate([graph.nodes, ends])
     linked = verdicts(space, nodes, links)
     if linked is None:
         return None
     link_free = linked[1]
-    found = _shortest(nodes, graph.edges[edge_free], links[link_free], len(graph.nodes))
-    blind = _shortest(nodes, graph.edges[graph.edge_possible], links, len(graph.nodes))
+    found = shortest_paths(nodes, graph.edges[edge_free], links[link_free], len(graph.nodes))
+    blind = shortest_paths(nodes, graph.edges[graph.edge_possible], links, len(graph.nodes))
     kept: list[tuple[int, int]] = []
     for s, g in rng.permutation(every).tolist():
         if len(kept) < pairs and not motion_free(space.arrays, ends[s], ends[STARTS + g]):
@@ -151,14 +151,14 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
     return rng.permutation(ends)
 
 
-def _links(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def links_to_nearest(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Edges (l, 2) int32 between each end, numbered after the nodes, and its nearest nodes."""
     nearest = nearest_rows(nodes, ends, LINKS)
     rows = len(nodes) + np.arange(len(ends))
     return np.stack([np.repeat(rows, LINKS), nearest.ravel()], axis=1).astype(np.int32)
 
 
-def _shortest(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int) -> _Paths:
+def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int) -> Paths:
     """Shortest paths over edges both ways, links from starts and links to goals.
 
     nodes: the roadmap's `count` nodes, STARTS starts, then goals.
@@ -169,9 +169,9 @@ def _shortest(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: in
     graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
     starts = np.arange(count, min(count + STARTS, len(nodes)))
     if len(starts) == 0:
-        return _Paths(np.empty((0, 0)), np.empty((0, len(nodes))), count)
+        return Paths(np.empty((0, 0)), np.empty((0, len(nodes))), count)
     cost, before = dijkstra(graph, indices=starts, return_predecessors=True)
-    return _Paths(cost[:, count + STARTS :], before, count + STARTS)
+    return Paths(cost[:, count + STARTS :], before, count + STARTS)
 
 
 def roadmap_arrays(scenes: Sequence[tuple[int, int, RoadmapLabels]]) -> Arrays:

@@ -1,7 +1,7 @@
 """Steps of labelled code sequences as the sequence model meets them: every way on from a code, and the right one."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -47,6 +47,10 @@ class Steps:
         columns = zip(*(vars(part).values() for part in parts), strict=True)
         return cls(*(np.concatenate(column) for column in columns))
 
+    def rows(self, chosen: np.ndarray) -> Self:
+        """Some of them, by number."""
+        return replace(self, **{name: column[chosen] for name, column in vars(self).items()})
+
 
 def steps_of(
     seen: SeenGraph,
@@ -58,15 +62,20 @@ def steps_of(
 
     Steps that the graph does not have, or from which it sees no way on, are left out.
     """
-    network, target = SmallNetwork.untrained(FEATURES), np.empty(ROOM, dtype=np.int32)
-    room, last = np.empty((ROOM, FEATURES)), len(seen.roadmap.nodes)
+    network, settings = SmallNetwork.untrained(FEATURES), settings or SequenceSettings()
+    return steps_along(
+        (SequenceSearch(seen, network, cloud, path.start, path.goal[None], settings), path.codes)
+        for path in paths
+    )
+
+
+def steps_along(asked: Iterable[tuple[SequenceSearch, np.ndarray]]) -> Steps:
+    """Steps of labelled codes (k,) to the one goal of a search, as its graph shows the ways on."""
+    target, room = np.empty(ROOM, dtype=np.int32), np.empty((ROOM, FEATURES))
     kept: list[tuple[np.ndarray, int, int]] = []
-    for path in paths:
-        search = SequenceSearch(
-            seen, network, cloud, path.start, path.goal[None], settings or SequenceSettings()
-        )
+    for search, labelled in asked:
         cost_to_go(search.graph, search.question)
-        codes = path.codes.tolist()
+        codes, last = labelled.tolist(), len(search.graph.nodes)
         for here, there in zip([last, *codes], [*codes, last], strict=True):
             count = ways_on(search.graph, search.question, here, target, room)
             right = np.flatnonzero(target[:count] == there)

@@ -43,6 +43,8 @@ ZERO_SHOT = tuple(
     if name in PLANNERS
 )
 """Planners compared under constraints that no model has seen."""
+SEEN_OTHERS = ("route-constraint-trained",)
+"""Controls whose model has seen constraints of other kinds."""
 
 SuiteItem: TypeAlias = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 
@@ -92,7 +94,7 @@ SUITES: Mapping[str, Suite] = {
             Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name), new_scenes=True)
             for name in FAMILIES
         ),
-        Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT, new_scenes=True),
+        Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT + SEEN_OTHERS, new_scenes=True),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
         *(
             Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)

@@ -5,11 +5,14 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.methods.learned import moved_to_manifold
+from cvqmpt_lab.methods.method import CONSTRAINED
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, planner_named
+from cvqmpt_lab.models.weights_folder import read_description
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.prediction.weights import resolve_model
 from experiments.rows import path_hash
 from experiments.suites.place_task import place_problem
 
@@ -70,6 +73,17 @@ def test_the_update_moves_dictionary_codes_to_the_manifold(problem, roadmap):
     before = np.linalg.norm(problem.manifold.residual(roadmap.nodes[codes]), axis=1)
     after = np.linalg.norm(problem.manifold.residual(moved.means), axis=1)
     assert moved.covariances.shape == (len(codes), 7, 7) and np.mean(after) < np.mean(before)
+
+
+def test_constraint_trained_controls_differ_by_their_network_of_sequences_alone():
+    free, constrained = (read_description(resolve_model(name)) for name in ("vq_mpt", CONSTRAINED))
+    assert {name for name in free.sha256 if free.sha256[name] != constrained.sha256[name]} == {"sequences"}
+    assert free.model == constrained.model and free.robot == constrained.robot
+    users = {
+        name for name, method in CONTROLS.items() if method.weights and method.weights.kind == CONSTRAINED
+    }
+    assert users == {"cvq-constraint-trained", "route-constraint-trained"}
+    assert all(method.weights is None or method.weights.kind != CONSTRAINED for method in PLANNERS.values())
 
 
 def test_names_are_unique():
