@@ -129,6 +129,8 @@ def read_urdf(path: Path) -> Urdf:
         raise InvalidInputError(
             f"{path} does not contain a valid URDF: its root is <{root.tag}>, not <robot>"
         )
+    if not root.get("name"):
+        raise InvalidInputError(f"{path} does not contain a valid URDF: its <robot> has no name")
     links = tuple(link.get("name", "") for link in root.findall("link"))
     joints = [_joint(element, path) for element in root.findall("joint")]
     _refuse_no_tree(path, links, joints)
@@ -152,6 +154,13 @@ def _joint(element: ElementTree.Element, path: Path) -> Joint:
         return "" if part is None else part.get("link", "")
 
     limit, mimic = element.find("limit"), element.find("mimic")
+    for attribute in ("velocity", "effort"):
+        number(limit, attribute, math.nan)
+        stated = limit is None or attribute in limit.attrib
+        if not stated and element.get("type") != "continuous":
+            raise InvalidInputError(
+                f"joint {shown(name)} of {path.name}: its <limit> states no {attribute}; URDF needs velocity and effort"
+            )
     unstated = math.nan if limit is None else 0.0  # the format's default of a <limit> without lower or upper
     return Joint(
         name=name,

@@ -90,6 +90,19 @@ def test_unreadable_urdf_is_named(edited, refused, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("was", "now", "words"),
+    [
+        (' velocity="1"', "", "its <limit> states no velocity"),
+        (' effort="1"', ' effort="strong"', "effort is 'strong', no number"),
+        ("<robot name=", "<robot title=", "its <robot> has no name"),
+    ],
+)
+def test_what_urdfs_parser_would_print_pages_about_is_one_line(edited, refused, capfd, was, now, words):
+    refused(InvalidInputError, words, load_robot, edited((was, now)), "tool")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
     "options",
     [
         {"locked": {"mount": 0.0}},
