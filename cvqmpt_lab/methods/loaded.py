@@ -100,7 +100,8 @@ def drawn_noise(codes: int, n: int) -> np.ndarray:
 @lru_cache(maxsize=8)
 def seen_dictionary(weights: Weights, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> SeenGraph:
     """The dictionary before a model's eyes."""
-    return SeenGraph(dictionary_roadmap(weights, robot), eyes_of(weights, robot, attachments))
+    bare = seen_dictionary(weights, robot) if attachments else None
+    return SeenGraph(dictionary_roadmap(weights, robot), eyes_of(weights, robot, attachments), bare)
 
 
 @lru_cache(maxsize=8)

@@ -36,32 +36,73 @@ class CodeEdges:
         return cls(edges, first, arcs[order, 1].copy(), (order % len(edges)).astype(np.int32))
 
 
+@dataclass(frozen=True, eq=False)
+class StatesSeen:
+    """The s states of a roadmap that eyes look at: its nodes, then those between the ends of each edge."""
+
+    links: CodeEdges
+    length: np.ndarray
+    """(E,) of the edges [rad]."""
+    first: np.ndarray
+    """(E + 1,) int32, where the states between each edge's ends begin."""
+    states: np.ndarray
+    """(s, n) [rad]."""
+
+    @classmethod
+    def of(cls, roadmap: Roadmap) -> "StatesSeen":
+        """Those of a roadmap, SPACING apart."""
+        links = CodeEdges.of(roadmap)
+        ends = roadmap.nodes[links.edges]
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        pieces = np.maximum(np.ceil(length / SPACING).astype(int), 1)
+        first = np.cumsum([len(roadmap.nodes), *(pieces - 1)]).astype(np.int32)
+        between = np.repeat(np.arange(len(ends)), pieces - 1)
+        step = np.arange(len(between)) - (first[between] - len(roadmap.nodes)) + 1
+        share = (step / pieces[between])[:, None]
+        inner = ends[between, 0] + share * (ends[between, 1] - ends[between, 0])
+        return cls(links, length, first, np.concatenate([roadmap.nodes, inner]))
+
+
 class SeenGraph:
     """A roadmap before one pair of eyes: where the robot's balls are along its edges is worked out once."""
 
-    def __init__(self, roadmap: Roadmap, eyes: Eyes) -> None:
-        self.roadmap, self.eyes, self.links = roadmap, eyes, CodeEdges.of(roadmap)
-        ends = roadmap.nodes[self.links.edges]
-        self._length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        pieces = np.maximum(np.ceil(self._length / SPACING).astype(int), 1)
-        self._first = np.cumsum([len(roadmap.nodes), *(pieces - 1)]).astype(np.int32)
-        between = np.repeat(np.arange(len(ends)), pieces - 1)
-        step = np.arange(len(between)) - (self._first[between] - len(roadmap.nodes)) + 1
-        share = (step / pieces[between])[:, None]
-        states = np.concatenate(
-            [roadmap.nodes, ends[between, 0] + share * (ends[between, 1] - ends[between, 0])]
-        )
-        self._cells = np.empty((len(states), eyes.balls), dtype=np.int32)
-        ball_cells(eyes.robot.kinematics, eyes.blank, states, self._cells)
+    def __init__(self, roadmap: Roadmap, eyes: Eyes, bare: "SeenGraph | None" = None) -> None:
+        """Look nowhere yet.
+
+        bare: the same roadmap before eyes on the same robot with an empty hand, whose balls are placed already.
+        """
+        self.roadmap, self.eyes = roadmap, eyes
         self._priced: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        if bare is None:
+            self._seen = StatesSeen.of(roadmap)
+            self._cells = self._placed(0)
+        else:
+            known = bare.eyes.blank.ball
+            assert bare.roadmap is roadmap and np.array_equal(known, eyes.blank.ball[: len(known)])
+            self._seen = bare._seen
+            self._cells = np.concatenate([bare._cells, self._placed(len(known))], axis=1)
+
+    @property
+    def links(self) -> CodeEdges:
+        """The roadmap's edges."""
+        return self._seen.links
+
+    def _placed(self, first: int) -> np.ndarray:
+        """Cells (s, balls) that the balls from `first` on lie in."""
+        blank = self.eyes.blank
+        sight = blank._replace(ball=blank.ball[first:], row=blank.row[first:])
+        cells = np.empty((len(self._seen.states), len(sight.ball)), dtype=np.int32)
+        ball_cells(self.eyes.robot.kinematics, sight, self._seen.states, cells)
+        return cells
 
     def features(self, cloud: np.ndarray, anew: bool = False) -> np.ndarray:
         """Inputs (E, n + 1) of the eyes' network for all edges; anew: see `Eyes.look`."""
         sight, n = self.eyes.look(cloud, anew), self.eyes.robot.dof
         clearance = np.empty((len(self._cells), n))
         look_at_cells(sight, sight.distance.reshape(-1), self._cells, clearance)
-        features = np.empty((len(self._length), n + 1))
-        join_looks(clearance, self._first, self.links.edges, self._length, features)
+        seen = self._seen
+        features = np.empty((len(seen.length), n + 1))
+        join_looks(clearance, seen.first, self.links.edges, seen.length, features)
         return features
 
     def prices(self, cloud: np.ndarray, anew: bool = False) -> np.ndarray:
@@ -82,6 +123,6 @@ class SeenGraph:
             first=links.first,
             neighbour=links.neighbour,
             edge=links.edge,
-            length=self._length.copy(),
+            length=self._seen.length.copy(),
             price=self.prices(cloud).copy(),
         )

@@ -20,7 +20,7 @@ from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from experiments.suites.place_task import place_problem
+from experiments.suites.place_task import carried_can, place_problem
 
 WEIGHTS = Weights("vq_mpt")
 
@@ -49,10 +49,12 @@ def query_of(problem, seed=0):
     return Query.of(ConstrainedSpace(problem), Budget(iterations=20_000), np.random.default_rng(seed))
 
 
-def test_all_edges_at_once_look_as_each_on_its_own(seen, cloud, problem):
+@pytest.mark.parametrize("carried", [(), (carried_can(),)], ids=["empty hand", "a can"])
+def test_all_edges_at_once_look_as_each_on_its_own(cloud, problem, carried):
+    seen = seen_dictionary(WEIGHTS, problem.robot, carried)
     rows = np.random.default_rng(0).choice(len(seen.links.edges), 300, replace=False)
     motions = seen.roadmap.nodes[seen.links.edges[rows]]
-    features, odds = eyes_of(WEIGHTS, problem.robot).judge(cloud, motions)
+    features, odds = eyes_of(WEIGHTS, problem.robot, carried).judge(cloud, motions)
     np.testing.assert_allclose(seen.features(cloud)[rows], features, atol=1e-12)
     np.testing.assert_allclose(seen.prices(cloud)[rows], np.logaddexp(0.0, -odds), atol=1e-12)
 
