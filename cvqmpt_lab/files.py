@@ -154,9 +154,12 @@ def json_object(text: str, what: str) -> dict[str, Any]:
 
 
 def json_value(text: str, what: str) -> Any:
-    """Return what a json text holds; a key that occurs twice in one object is refused."""
+    """Return what a json text holds; a key that occurs twice in one object is refused, and so is half a character."""
     try:
-        return json.loads(text, object_pairs_hook=_unique_keys)
+        value = json.loads(text, object_pairs_hook=_unique_keys)
+        if "\\ud" in text.lower():  # half of a pair that stands for a character: no file can hold it
+            json.dumps(value, ensure_ascii=False).encode("utf-8")
+        return value
     except (ValueError, RecursionError) as error:  # no json, or nested too deeply
         raise InvalidInputError(f"{what} is not json: {error}") from error
 

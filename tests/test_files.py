@@ -4,6 +4,7 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import (
+    json_value,
     locked,
     make_folder,
     read_bytes,
@@ -97,3 +98,10 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
 def test_a_device_is_not_read_for_ever():
     with pytest.raises(InvalidInputError, match="cannot read scene /dev/zero: it is a device"):
         read_json_object("/dev/zero", "scene")
+
+
+def test_json_with_half_a_character_is_refused_and_a_whole_one_read():
+    """No file can hold the half: a table of such a provenance could not be written."""
+    assert json_value(r'{"a": "\ud83e\udd16"}', "this") == {"a": "\U0001f916"}
+    with pytest.raises(InvalidInputError, match="this is not json: .*surrogates"):
+        json_value(r'{"a": ["\uD800"]}', "this")
