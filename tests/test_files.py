@@ -103,5 +103,5 @@ def test_a_device_is_not_read_for_ever():
 def test_json_with_half_a_character_is_refused_and_a_whole_one_read():
     """No file can hold the half: a table of such a provenance could not be written."""
     assert json_value(r'{"a": "\ud83e\udd16"}', "this") == {"a": "\U0001f916"}
-    with pytest.raises(InvalidInputError, match="this is not json: .*surrogates"):
+    with pytest.raises(InvalidInputError, match=r"this is not json: .*surrogates"):
         json_value(r'{"a": ["\uD800"]}', "this")
