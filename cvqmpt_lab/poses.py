@@ -106,3 +106,24 @@ class PoseForm:
 
 
 Pose = Annotated[FloatArray, PoseForm()]
+
+
+def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3), of angles up to pi.
+
+    By unit quaternions q: the entries of a rotation give 4 q q^T, whose row of the largest diagonal is along q.
+    """
+    m = np.asarray(matrices).reshape(-1, 3, 3)
+    trace = np.trace(m, axis1=1, axis2=2)
+    square = np.empty((len(m), 4, 4))
+    square[:, :3, :3] = m + m.transpose(0, 2, 1)
+    square[:, (0, 1, 2), (0, 1, 2)] += (1.0 - trace)[:, None]
+    square[:, :3, 3] = square[:, 3, :3] = np.stack(
+        [m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1
+    )
+    square[:, 3, 3] = 1.0 + trace
+    q = square[np.arange(len(m)), np.diagonal(square, axis1=1, axis2=2).argmax(axis=1)]
+    q *= np.where(q[:, 3:] < 0.0, -1.0, 1.0)
+    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[:, 3:])
+    return q[:, :3] * np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)

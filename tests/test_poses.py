@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.poses import rotation_matrices
-from cvqmpt_lab.robot.arrays import rotation_vectors
+from cvqmpt_lab.poses import rotation_matrices, rotation_vectors
 
 SIZES = (0.0, 1e-9, 1e-4, 1e-3, 0.5, 3.0)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.robot.arrays import rotation_vectors
+from cvqmpt_lab.poses import rotation_vectors
 from cvqmpt_lab.robot.robot import Robot
 
 ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
