@@ -52,7 +52,11 @@ locked: venv-dev
 		-c constraints.txt pyproject.toml - -o locked.txt
 
 inventory: venv-dev
-	$(BIN)/python -m experiments.trust.inventory
+	$(PIP) pip-licenses cyclonedx-bom
+	sed -i.old '/^| Name /,$$d' LICENSES.md && rm LICENSES.md.old
+	$(BIN)/pip-licenses --with-system --from=mixed --format=markdown \
+		--packages $$(sed -n 's/==.*//p' locked.txt) >> LICENSES.md
+	$(BIN)/cyclonedx-py requirements locked.txt --pyproject pyproject.toml --output-reproducible -o sbom.json
 
 # --strict: fails, rather than passes, where the database of vulnerabilities cannot be reached.
 audit: venv-dev

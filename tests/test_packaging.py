@@ -5,21 +5,43 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import version
+from importlib.metadata import requires, version
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from experiments.trust.inventory import closure, distributions, pinned
+from cvqmpt_lab.prediction.weights import SHIPPED
+from cvqmpt_lab.robot.named import ARMS
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-DECLARED = [
-    Requirement(r) for r in (*PROJECT["dependencies"], *EXTRAS["dev"], *EXTRAS["docs"], *EXTRAS["train"])
-]
+RUNTIME = [Requirement(text) for text in PROJECT["dependencies"]]
+DECLARED = [*RUNTIME, *(Requirement(text) for name in ("dev", "docs", "train") for text in EXTRAS[name])]
+
+
+def pinned():
+    """Version by name in constraints.txt."""
+    lines = map(str.strip, (ROOT / "constraints.txt").read_text().splitlines())
+    wanted = (Requirement(line) for line in lines if line and not line.startswith("#"))
+    return {canonicalize_name(r.name): str(r.specifier).removeprefix("==") for r in wanted}
+
+
+def closure(wanted):
+    """Names of all installed distributions that requirements need, directly or not."""
+    found, left = set(), [(canonicalize_name(r.name), tuple(sorted(r.extras))) for r in wanted]
+    while left:
+        name, extras = item = left.pop()
+        if item in found:
+            continue
+        found.add(item)
+        for requirement in map(Requirement, requires(name) or ()):
+            marker = requirement.marker
+            if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
+                left.append((canonicalize_name(requirement.name), tuple(sorted(requirement.extras))))
+    return {name for name, _ in found}
 
 
 def test_every_dependency_is_pinned_to_what_is_installed():
@@ -40,8 +62,18 @@ def test_the_locked_set_is_what_planning_needs_as_pinned_with_hashes():
     locked = {line.split("==")[0]: line.split()[0].split("==")[1] for line in lines}
     pins = pinned()
     assert locked == {name: pins[name] for name in locked}
-    needed = {item.name for item in distributions()} | {"setuptools"}  # what builds the project itself
+    needed = closure(RUNTIME) | {"setuptools"}  # setuptools builds the project itself
     assert needed <= locked.keys() and all("--hash=sha256:" in line for line in lines)
+
+
+def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
+    """`make inventory` writes the list of distributions anew."""
+    rows = [re.split(r" *\| *", line) for line in (ROOT / "LICENSES.md").read_text().splitlines()]
+    listed = {canonicalize_name(row[1]): row[-2] for row in rows if len(row) > 3}
+    robots = {canonicalize_name(arm.urdf.split("/")[0]) for arm in ARMS.values()}
+    weights = {canonicalize_name(f"weights {name}") for name in SHIPPED}
+    assert sorted((closure(RUNTIME) | robots | weights) - listed.keys()) == []
+    assert [name for name, licence in listed.items() if licence == "UNKNOWN"] == ["cmeel-qhull"]
 
 
 def test_licence_and_readme_are_there():
