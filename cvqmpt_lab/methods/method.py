@@ -44,9 +44,10 @@ class Weights:
 
     def unfit(self, robot: Robot) -> str:
         """Why the weights cannot serve a robot, or ""."""
-        from cvqmpt_lab.prediction.weights import unfit  # torch takes 2 s to import
+        from cvqmpt_lab.prediction.configurations import robot_signature
+        from cvqmpt_lab.prediction.weights import incompatibility  # only learned planners read weights
 
-        return unfit(self.model or self.kind, self.kind, robot)
+        return incompatibility(self.model or self.kind, self.kind, robot_signature(robot))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,15 @@
 """A dictionary's codes as Gaussians over configurations, in radians, and the codes of given configurations."""
 
+from pathlib import Path
+
 import numpy as np
 
 from cvqmpt_lab.errors import require_torch
-from cvqmpt_lab.models.stored import StoredModel
+from cvqmpt_lab.models.stored import VQ_MPT, StoredModel, read_model
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
 from cvqmpt_lab.prediction.code_encoder import CodeEncoder, code_vectors
-from cvqmpt_lab.prediction.configurations import ModelConfigurations
+from cvqmpt_lab.prediction.configurations import ModelConfigurations, robot_signature
+from cvqmpt_lab.prediction.weights import resolve_model
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -23,6 +26,12 @@ class Codebook:
         gaussians, of = self.decoder.decode(z), self.configurations
         covariances = gaussians.covariance * np.outer(of.range, of.range)
         return of.radians(gaussians.mean.astype(np.float64)), covariances
+
+
+def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> StoredModel:
+    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `read_model`."""
+    signature = robot_signature(robot)
+    return read_model(resolve_model(model, VQ_MPT, signature), signature, VQ_MPT)
 
 
 def dictionary_gaussians(model: StoredModel, robot: Robot) -> tuple[np.ndarray, np.ndarray]:

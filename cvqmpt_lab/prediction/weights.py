@@ -6,10 +6,8 @@ from pathlib import Path
 import cvqmpt_lab
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.models.robot_signature import OtherRobotError, RobotSignature
-from cvqmpt_lab.models.stored import MPNET, VQ_MPT, StoredModel, read_model
+from cvqmpt_lab.models.stored import MPNET, VQ_MPT
 from cvqmpt_lab.models.weights_folder import checkpoint_folder, read_description
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.robot.robot import Robot
 
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
 SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET, "vq_mpt_constrained": VQ_MPT}
@@ -17,7 +15,7 @@ SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET, "vq_mpt_constrained": VQ_MPT}
 
 
 def resolve_model(
-    model: str | Path | None = None, architecture: str | None = None, robot: Robot | None = None
+    model: str | Path | None = None, architecture: str | None = None, robot: RobotSignature | None = None
 ) -> Path:
     """Folder of a model's weights.
 
@@ -46,13 +44,8 @@ def resolve_model(
             f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the folder of a model "
             "that you trained (cvqmpt train) or imported (cvqmpt model import)"
         )
-    read_description(folder, architecture, None if robot is None else robot_signature(robot))
+    read_description(folder, architecture, robot)
     return folder
-
-
-def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> StoredModel:
-    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `read_model`."""
-    return read_model(resolve_model(model, VQ_MPT, robot), robot_signature(robot), VQ_MPT)
 
 
 @lru_cache(maxsize=8)
@@ -60,10 +53,10 @@ def _signature(model: str, kind: str) -> RobotSignature:
     return read_description(resolve_model(model, SHIPPED[kind]), SHIPPED[kind]).robot
 
 
-def unfit(model: str, kind: str, robot: Robot) -> str:
+def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
     """Why the weights of a model (see `resolve_model`) cannot serve a robot, or ""; kind: a name of `SHIPPED`."""
     try:
-        _signature(model, kind).require_same(robot_signature(robot))
+        _signature(model, kind).require_same(robot)
     except OtherRobotError as error:
         return str(error)
     return ""

@@ -10,10 +10,9 @@ from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import POINTS_SEEN, WRONG_SCENE, dictionary_roadmap
 from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.models.stored import VQ_MPT, read_model
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.weights import resolve_model
+from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
@@ -42,7 +41,7 @@ CAMERAS: Mapping[str, CameraSettings] = {
 def bench_sight(scenes: int) -> list[Figure]:
     """Of the shipped eyes: area under the curve and calibration by family and camera, medians over scenes."""
     robot = panda()
-    model = read_model(resolve_model(None, VQ_MPT, robot))
+    model = load_vq_mpt(robot)
     if "sight" not in model.parts:
         raise InvalidInputError("the model has no eyes; train some with cvqmpt train sight")
     eyes = Eyes(SmallNetwork.of(model.parts["sight"]), robot)

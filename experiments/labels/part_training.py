@@ -16,6 +16,7 @@ from cvqmpt_lab.models.stored import VQ_MPT, StoredModel, read_model
 from cvqmpt_lab.models.weights_folder import TRAINED_FOLDER, write_weights
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.weights import resolve_model
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -114,7 +115,7 @@ def _whose(request: PartRequest) -> tuple[Robot, StoredModel]:
     robot = robot_from_source(
         read_json_object(request.data / DESCRIPTION_FILE).get("recipe", {}).get("robot")
     )
-    return robot, read_model(resolve_model(request.model, VQ_MPT, robot))
+    return robot, read_model(resolve_model(request.model, VQ_MPT, robot_signature(robot)))
 
 
 def _counted(

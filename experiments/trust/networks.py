@@ -14,7 +14,7 @@ from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
 from cvqmpt_lab.prediction.code_encoder import CodeEncoder
 from cvqmpt_lab.prediction.configurations import ModelConfigurations
-from cvqmpt_lab.prediction.weights import load_vq_mpt
+from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 

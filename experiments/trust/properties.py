@@ -20,7 +20,7 @@ from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.prediction.code_decoder import CodeDecoder
-from cvqmpt_lab.prediction.weights import load_vq_mpt
+from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot

@@ -25,7 +25,8 @@ from cvqmpt_lab.prediction import weights
 from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.prediction.predictor import Predictor
 from cvqmpt_lab.prediction.settings import PredictorSettings
-from cvqmpt_lab.prediction.weights import WEIGHTS, load_vq_mpt, resolve_model
+from cvqmpt_lab.prediction.codebook import load_vq_mpt
+from cvqmpt_lab.prediction.weights import WEIGHTS, resolve_model
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -137,7 +138,7 @@ def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, 
 
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path, monkeypatch):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
-    assert resolve_model(architecture="mpnet", robot=panda) == resolve_model("mpnet") == WEIGHTS / "mpnet"
+    assert resolve_model(architecture="mpnet", robot=robot_signature(panda)) == resolve_model("mpnet") == WEIGHTS / "mpnet"
     checkpoint = random_checkpoint(panda)
     save_checkpoint(tmp_path / "run" / "model", checkpoint)
     assert resolve_model(tmp_path / "run") == tmp_path / "run" / "model"

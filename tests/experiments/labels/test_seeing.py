@@ -13,7 +13,7 @@ from cvqmpt_lab.models.stored import VQ_MPT, read_model
 from cvqmpt_lab.models.weights_folder import write_weights
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.weights import load_vq_mpt
+from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
