@@ -12,10 +12,8 @@ from packaging.requirements import Requirement
 
 from cli.main import THREADS
 from cvqmpt_lab.errors import CvqmptError
-from cvqmpt_lab.models.stored import read_model
-from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.show.viewer import check_viewer
+from cvqmpt_lab.vqmpt.weights import SHIPPED, read_model, resolve_model, weights_digest
 
 EXAMPLES = ("cvqmpt doctor",)
 PROJECT = "cvqmpt-lab"

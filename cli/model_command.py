@@ -7,11 +7,9 @@ from typing import Any
 
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
-from cvqmpt_lab.models.stored import read_model
-from cvqmpt_lab.models.weights_folder import read_description, weights_digest
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.weights import SHIPPED, read_description, read_model, resolve_model, weights_digest
 
 EXAMPLES = (
     "cvqmpt model info",
@@ -61,8 +59,8 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InvalidInputError(f"{out} is there and not empty; choose another --out")
     require_torch("cvqmpt model import")
-    from cvqmpt_lab.models.checkpoint import save_checkpoint
-    from cvqmpt_lab.models.published.checkpoint_import import import_published
+    from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
+    from cvqmpt_lab.vqmpt.import_published import import_published
 
     imported = import_published(dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"})))
     report = imported.report

@@ -141,8 +141,11 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
     kinds = {kind for planner in planners for kind in models_of(planner)}
     if not kinds:
         return {}
-    from cvqmpt_lab.models.weights_folder import weights_digest  # torch takes 2 s to import
-    from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
+    from cvqmpt_lab.vqmpt.weights import (
+        SHIPPED,
+        resolve_model,
+        weights_digest,  # torch takes 2 s to import
+    )
 
     return {kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)}
 

@@ -5,8 +5,9 @@ import dataclasses
 import torch
 from training_data import kinematics
 
-from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.config import (
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.config import (
     DictionaryConfig,
     ModelConfig,
     PointCloudConfig,
@@ -14,9 +15,8 @@ from cvqmpt_lab.models.config import (
     SetAbstractionConfig,
     TransformerConfig,
 )
-from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel
-from cvqmpt_lab.prediction.configurations import robot_signature
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)
 METADATA = {"kinematics": kinematics()}

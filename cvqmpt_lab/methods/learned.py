@@ -30,13 +30,11 @@ from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, Timings
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
 from cvqmpt_lab.planning.sight import Sight
-from cvqmpt_lab.prediction.codebook import codes_of, dictionary_gaussians
-from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
-from cvqmpt_lab.prediction.prediction import Prediction
-from cvqmpt_lab.prediction.predictor import Predictor
-from cvqmpt_lab.prediction.settings import AS_PUBLISHED, PredictorSettings
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cameras import CameraSettings
+from cvqmpt_lab.vqmpt.codebook import codes_of, dictionary_gaussians
+from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
+from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, Prediction, Predictor, PredictorSettings
 
 Build = Callable[[Robot, Weights], Stages]
 """Makes the stages of a method for a robot."""

@@ -9,18 +9,17 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.methods.observation import Observer
-from cvqmpt_lab.models.stored import StoredModel, read_model
 from cvqmpt_lab.planning.code_graph import SeenGraph
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.codebook import Codebook, dictionary_gaussians, drawn_nodes
-from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.vqmpt.codebook import Codebook, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.weights import SHIPPED, StoredModel, read_model, resolve_model
 
 EYES, SEQUENCES = "sight", "sequences"
 """Parts of a model that small networks are."""

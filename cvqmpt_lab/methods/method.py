@@ -38,14 +38,14 @@ class Weights:
     """Trained weights that a method needs: what kind, where, and for which robot."""
 
     kind: str
-    """Key of `prediction.weights.SHIPPED`."""
+    """Key of `vqmpt.weights.SHIPPED`."""
     model: str | None = None
-    """Name or folder, see `prediction.weights.resolve_model`; None for the shipped ones."""
+    """Name or folder, see `vqmpt.weights.resolve_model`; None for the shipped ones."""
 
     def unfit(self, robot: Robot) -> str:
         """Why the weights cannot serve a robot, or ""."""
-        from cvqmpt_lab.prediction.configurations import robot_signature
-        from cvqmpt_lab.prediction.weights import incompatibility  # only learned planners read weights
+        from cvqmpt_lab.vqmpt.codebook import robot_signature
+        from cvqmpt_lab.vqmpt.weights import incompatibility  # only learned planners read weights
 
         return incompatibility(self.model or self.kind, self.kind, robot_signature(robot))
 

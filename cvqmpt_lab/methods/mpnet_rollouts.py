@@ -16,14 +16,14 @@ from itertools import pairwise
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.stored import StoredModel
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, PlanStatus, Timings
-from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
+from cvqmpt_lab.vqmpt.weights import StoredModel
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,9 +26,9 @@ from cvqmpt_lab.planning.code_proposals import CodeProposal, PredictedSequences
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.codebook import Codebook, drawn_nodes, widened
-from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.vqmpt.codebook import Codebook, drawn_nodes, widened
+from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 
 WIDTH = 1.1  # [rad] no Gaussian that is sampled from is narrower in any direction; chosen on the tuning environments
 STEPS = 5  # of Algorithm 2

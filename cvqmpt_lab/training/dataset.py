@@ -15,8 +15,6 @@ import numpy as np
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
-from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.training.paths import Paths, Scenes, Shapes, thinned
 from cvqmpt_lab.training.roadmap_paths import path_arrays
 from cvqmpt_lab.training.roadmap_shards import ROADMAP_FILE, read_roadmap_shards
@@ -28,6 +26,8 @@ from cvqmpt_lab.training.shards import (
     read_index,
     read_shard,
 )
+from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 VALIDATION_EVERY = 20
 """Seeds of scenes, the divisible ones of which validate."""

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.serial_chain import SerialChain
+from cvqmpt_lab.vqmpt.inputs import SerialChain
 
 
 class LinkPositions:

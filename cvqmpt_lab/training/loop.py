@@ -19,13 +19,13 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import save_checkpoint
 from cvqmpt_lab.orphans import end_with_parent
 from cvqmpt_lab.training.interrupts import interruptible
 from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.run_folder import Progress, RunFolder
 from cvqmpt_lab.training.scene_batches import batch_seed
 from cvqmpt_lab.training.stage import Batch, Stage
+from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 
 SAVE_EVERY_S = 300.0
 

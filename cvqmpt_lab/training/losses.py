@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from cvqmpt_lab.models.dictionary.dictionary import DictionaryOutput
-from cvqmpt_lab.models.dictionary.quantizer import Quantized
+from cvqmpt_lab.vqmpt.dictionary import DictionaryOutput, Quantized
 
 
 @dataclass(frozen=True, eq=False)

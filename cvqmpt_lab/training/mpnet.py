@@ -7,13 +7,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cvqmpt_lab.models.checkpoint import MPNetCheckpoint
-from cvqmpt_lab.models.config import MPNetConfig
-from cvqmpt_lab.models.mpnet.network import MPNet
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.scene_batches import SceneBatchSettings
 from cvqmpt_lab.training.stage import Batch, SceneStage
+from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.mpnet_network import MPNet
 
 
 @dataclass(frozen=True, kw_only=True)

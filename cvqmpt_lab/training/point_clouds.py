@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.models.config import require_sizes
 from cvqmpt_lab.training.camera_clouds import measured_points
 from cvqmpt_lab.training.paths import Shapes
+from cvqmpt_lab.vqmpt.config import require_sizes
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 _ROUNDS = 6

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.models import config as sizes
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.mpnet import MPNetSettings
 from cvqmpt_lab.training.optimizer import OptimizerSettings
@@ -11,6 +10,7 @@ from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings
 from cvqmpt_lab.training.scene_batches import SceneBatchSettings
 from cvqmpt_lab.training.stage1 import Stage1Settings
 from cvqmpt_lab.training.stage2 import Stage2Settings
+from cvqmpt_lab.vqmpt import config as sizes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.training.roadmap_shards import RoadmapShard
 from cvqmpt_lab.training.shards import FULL_SCALE, Arrays
+from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 SPACING = 0.13  # [rad] between waypoints at most, as in other datasets
 PATHS = 40  # of each scene, the first that were found: all of them would not fit into memory

@@ -25,8 +25,8 @@ from torch import Tensor, nn
 from cvqmpt_lab.codec.plain import differences
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object, require_regular_file, write_bytes
-from cvqmpt_lab.models.tensors import load_tensors
-from cvqmpt_lab.models.weights_folder import TRAINED_FOLDER
+from cvqmpt_lab.vqmpt.checkpoint import load_tensors
+from cvqmpt_lab.vqmpt.weights import TRAINED_FOLDER
 
 SETTINGS_FILE = "training.json"
 STATE_FILE = "state.safetensors"

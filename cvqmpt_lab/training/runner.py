@@ -10,8 +10,6 @@ import torch
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import locked, make_folder
-from cvqmpt_lab.models.checkpoint import Checkpoint, load_checkpoint
-from cvqmpt_lab.models.weights_folder import checkpoint_folder, recover_weights, weights_digest
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.loop import Limits, Tick, TrainingEnd, train
 from cvqmpt_lab.training.mpnet import MPNetStage
@@ -21,6 +19,8 @@ from cvqmpt_lab.training.run_folder import RunFolder
 from cvqmpt_lab.training.stage import Stage
 from cvqmpt_lab.training.stage1 import Stage1
 from cvqmpt_lab.training.stage2 import Stage2
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, load_checkpoint
+from cvqmpt_lab.vqmpt.weights import checkpoint_folder, recover_weights, weights_digest
 
 
 @dataclass(frozen=True, kw_only=True)

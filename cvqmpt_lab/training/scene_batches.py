@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.models.config import require_sizes
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.paths import with_few_trivial
 from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
+from cvqmpt_lab.vqmpt.config import require_sizes
 
 _SIDE_NOISE = 0.4
 """Of twice the middle of a path's first joint, normalised, by which paths of a scene are grouped."""

@@ -3,7 +3,7 @@
 As ``cvqmpt data generate`` writes it::
 
     dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families, kinematics (a
-                     models.SerialChain), provenance
+                     vqmpt.inputs.SerialChain), provenance
     shards.csv       shard, sha256, scenes, paths
     shards/NNNNNN.npz
         family (s,) uint8, scene_seed (s,) int64

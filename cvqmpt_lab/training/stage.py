@@ -10,12 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.models.checkpoint import Trained
 from cvqmpt_lab.training.augmentation import BaseTurn
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.run_folder import Progress
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, other_scenes
+from cvqmpt_lab.vqmpt.checkpoint import Trained
 
 Batch = dict[str, Tensor]
 

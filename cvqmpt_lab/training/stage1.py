@@ -9,9 +9,6 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.config import ModelConfig, require_sizes
-from cvqmpt_lab.models.dictionary.dictionary import Dictionary
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.link_positions import LinkPositions
 from cvqmpt_lab.training.losses import stage1_loss
@@ -20,6 +17,9 @@ from cvqmpt_lab.training.paths import unpacked, with_few_trivial
 from cvqmpt_lab.training.run_folder import Progress
 from cvqmpt_lab.training.scene_batches import batch_seed
 from cvqmpt_lab.training.stage import Batch, Stage
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
+from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
 
 
 @dataclass(frozen=True, kw_only=True)

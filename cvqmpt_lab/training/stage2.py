@@ -10,10 +10,6 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import Checkpoint
-from cvqmpt_lab.models.config import ModelConfig
-from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.published.sequence_model import PublishedSequenceModel, prefix_samples
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.losses import sequence_loss
 from cvqmpt_lab.training.measures import Measures
@@ -21,6 +17,10 @@ from cvqmpt_lab.training.optimizer import OptimizerSettings
 from cvqmpt_lab.training.scene_batches import SceneBatchSettings
 from cvqmpt_lab.training.sequences import CodeSequences, code_sequences
 from cvqmpt_lab.training.stage import Batch, SceneStage
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
+from cvqmpt_lab.vqmpt.config import ModelConfig
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_samples
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,12 +12,12 @@ from cvqmpt_lab.methods.loaded import POINTS_SEEN, WRONG_SCENE, dictionary_roadm
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from experiments.bench.timing import Figure, spread, timed
 from experiments.labels.labelled_scenes import unconstrained_space
 from experiments.labels.roadmap_labels import roadmap_graph, verdicts

@@ -20,8 +20,8 @@ from cvqmpt_lab.planning.proposal import Observation
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.prediction.latent_optimizer import LatentOptimizer, LatentSettings
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 
 PLANNER = "cvq-mpt"
 ENOUGH = Budget(seconds=60.0)
@@ -96,7 +96,7 @@ class CodeUpdate:
 
 
 def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSettings) -> CodeUpdate:
-    """Look at the scene, predict, update, draw; model: as of `prediction.weights.resolve_model`.
+    """Look at the scene, predict, update, draw; model: as of `vqmpt.weights.resolve_model`.
 
     Raises
     ------

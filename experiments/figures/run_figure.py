@@ -10,11 +10,10 @@ import numpy as np
 
 from cvqmpt_lab.errors import RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import make_folder, read_bytes, require_regular_file
-from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction.weights import SHIPPED, resolve_model
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.training.shards import INDEX_FILE
+from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from experiments.figures.code_update import FAR, CodeUpdate, UpdateSettings, update_codes
 from experiments.figures.cost import draw_cost
 from experiments.figures.difficulty import draw_difficulty

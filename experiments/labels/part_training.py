@@ -12,17 +12,22 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.methods.loaded import EYES, SEQUENCES, seen_dictionary
 from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.models.stored import VQ_MPT, StoredModel, read_model
-from cvqmpt_lab.models.weights_folder import TRAINED_FOLDER, write_weights
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.weights import resolve_model
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE
 from cvqmpt_lab.training.small_network import train_sequences, train_sight
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.weights import (
+    TRAINED_FOLDER,
+    VQ_MPT,
+    StoredModel,
+    read_model,
+    resolve_model,
+    write_weights,
+)
 from experiments.labels.constrained_examples import constrained_steps
 from experiments.labels.sequence_examples import PATHS, Steps, training_steps
 from experiments.labels.sight_examples import training_examples
@@ -39,7 +44,7 @@ class PartRequest:
     out: Path
     """The model goes to out/model."""
     model: str | None
-    """Whose part it is, see `prediction.weights.resolve_model`."""
+    """Whose part it is, see `vqmpt.weights.resolve_model`."""
     seed: int
     scenes: int
     """At most."""

@@ -24,7 +24,7 @@ class RoadmapRecipe(SceneRecipe):
 
     labels: str = field(default="roadmap", init=False)
     model: str | None = None
-    """Name or folder of the dictionary's weights, see `prediction.weights.resolve_model`; None for the shipped."""
+    """Name or folder of the dictionary's weights, see `vqmpt.weights.resolve_model`; None for the shipped."""
 
     def prepare(self, out: Path) -> None:
         """Write the roadmap, or check that it is the one that is there."""

@@ -18,7 +18,6 @@ import numpy as np
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
-from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -33,6 +32,7 @@ from cvqmpt_lab.training.shards import (
     finished_shards,
     write_shard,
 )
+from cvqmpt_lab.vqmpt.inputs import SerialChain
 from experiments.labels.dataset_card import dataset_card
 from experiments.labels.labelled_scenes import labelled_scene, shard_arrays
 from experiments.workers import WorkerPool

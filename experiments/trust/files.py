@@ -9,7 +9,6 @@ import numpy as np
 import scipy.stats  # noqa: F401  # tables import it late; here nobody shall wait for it
 
 from cvqmpt_lab.dry_run import dry_run
-from cvqmpt_lab.models.stored import read_model
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
@@ -23,6 +22,7 @@ from cvqmpt_lab.sensing.camera import Pinhole, read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth_images import read_depth
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.reading import read_motion
+from cvqmpt_lab.vqmpt.weights import read_model
 from experiments.trust import good_files
 from experiments.trust.check import Check, Trial
 from experiments.trust.contained import Hostile, attacked
@@ -65,7 +65,7 @@ def _weights(path: Path) -> None:
 
 
 def _tensors(path: Path) -> None:
-    from cvqmpt_lab.models.published.pickles import read_tensors
+    from cvqmpt_lab.vqmpt.import_published import read_tensors
 
     read_tensors(path)
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.prediction.configurations import robot_signature
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, csv_text
@@ -24,6 +23,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.trajectory.export import save_trajectory
 from cvqmpt_lab.trajectory.timing import time_path
+from cvqmpt_lab.vqmpt.codebook import robot_signature
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import place_problem
 
@@ -145,8 +145,8 @@ def _mpnet() -> tuple[bytes, bytes]:
     """The description and the tensors of a small MPNet."""
     import torch
 
-    from cvqmpt_lab.models.checkpoint import MPNetCheckpoint, save_checkpoint
-    from cvqmpt_lab.models.mpnet.network import MPNet, MPNetConfig
+    from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
+    from cvqmpt_lab.vqmpt.mpnet_network import MPNet, MPNetConfig
 
     sizes = MPNetConfig(n_points=20, encoder_widths=(8,), code_dim=4, planner_widths=(8, 6))
     torch.manual_seed(0)

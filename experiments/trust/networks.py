@@ -7,16 +7,13 @@ import torch
 from torch.nn import functional as F
 
 from cvqmpt_lab.methods.loaded import EYES, SEQUENCES
-from cvqmpt_lab.models.checkpoint import as_modules
-from cvqmpt_lab.models.dictionary.dictionary import Dictionary
-from cvqmpt_lab.models.stored import Arrays, StoredModel
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.code_decoder import CodeDecoder
-from cvqmpt_lab.prediction.code_encoder import CodeEncoder
-from cvqmpt_lab.prediction.configurations import ModelConfigurations
-from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.vqmpt.checkpoint import as_modules
+from cvqmpt_lab.vqmpt.codebook import CodeDecoder, CodeEncoder, ModelConfigurations, load_vq_mpt
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.weights import Arrays, StoredModel
 
 FAR = 1e-4
 """Numbers of order 1 that differ by more differ by more than rounding in 32 bits."""

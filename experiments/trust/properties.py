@@ -19,12 +19,11 @@ from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import Placement
-from cvqmpt_lab.prediction.code_decoder import CodeDecoder
-from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.vqmpt.codebook import CodeDecoder, load_vq_mpt
 from experiments.trust.check import Check, Trial
 from experiments.trust.random_arms import ARMS, WIDTHS, arm, problem_around
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.stored import read_model
-from cvqmpt_lab.prediction.weights import SHIPPED, WEIGHTS
+from cvqmpt_lab.vqmpt.weights import SHIPPED, WEIGHTS, read_model
 from experiments.trust.check import Check, Trial
 
 

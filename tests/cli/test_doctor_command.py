@@ -7,8 +7,8 @@ import pytest
 
 from cli import doctor_command
 from cli.main import main
-from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction import weights
+from cvqmpt_lab.vqmpt import weights
+from cvqmpt_lab.vqmpt.weights import weights_digest
 
 
 def findings(capsys):

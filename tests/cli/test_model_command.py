@@ -16,17 +16,13 @@ from small_models import random_checkpoint
 from cli.main import main
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.checkpoint import MPNetCheckpoint, load_checkpoint, save_checkpoint, stored
-from cvqmpt_lab.models.config import MPNetConfig
-from cvqmpt_lab.models.mpnet.network import MPNet
-from cvqmpt_lab.models.robot_signature import OtherRobotError
-from cvqmpt_lab.models.weights_folder import weights_digest
-from cvqmpt_lab.prediction import weights
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.predictor import Predictor
-from cvqmpt_lab.prediction.settings import PredictorSettings
-from cvqmpt_lab.prediction.codebook import load_vq_mpt
-from cvqmpt_lab.prediction.weights import WEIGHTS, resolve_model
+from cvqmpt_lab.vqmpt import weights
+from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, load_checkpoint, save_checkpoint, stored
+from cvqmpt_lab.vqmpt.codebook import load_vq_mpt, robot_signature
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.vqmpt.weights import WEIGHTS, OtherRobotError, resolve_model, weights_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -138,7 +134,11 @@ def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, 
 
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path, monkeypatch):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
-    assert resolve_model(architecture="mpnet", robot=robot_signature(panda)) == resolve_model("mpnet") == WEIGHTS / "mpnet"
+    assert (
+        resolve_model(architecture="mpnet", robot=robot_signature(panda))
+        == resolve_model("mpnet")
+        == WEIGHTS / "mpnet"
+    )
     checkpoint = random_checkpoint(panda)
     save_checkpoint(tmp_path / "run" / "model", checkpoint)
     assert resolve_model(tmp_path / "run") == tmp_path / "run" / "model"

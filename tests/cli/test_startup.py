@@ -16,7 +16,7 @@ HEAVY = (
     "PIL", "rerun", "trimesh", "collada", "paper_tables", "yaml", "urllib.request",
 )  # fmt: skip
 IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
-LEARNED = ("safetensors", "cvqmpt_lab.prediction")
+LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")
 REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
 
 

@@ -11,9 +11,9 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods import table
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.prediction.latent_optimizer import LatentObjective
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import RunStore
+from cvqmpt_lab.vqmpt.latent_update import LatentObjective
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, Outcome, compare, made_with, measure
 from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable

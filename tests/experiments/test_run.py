@@ -14,12 +14,11 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
-from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.prediction.weights import resolve_model
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
+from cvqmpt_lab.vqmpt.weights import resolve_model, weights_digest
 from experiments import run as runner
 from experiments.run import Experiment, models_of, run_experiment, weights_of
 from experiments.warmup import compile_kernels

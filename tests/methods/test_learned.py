@@ -7,12 +7,11 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.methods.learned import moved_to_manifold
 from cvqmpt_lab.methods.method import CONSTRAINED
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, planner_named
-from cvqmpt_lab.models.weights_folder import read_description
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.prediction.weights import resolve_model
+from cvqmpt_lab.vqmpt.weights import read_description, resolve_model
 from experiments.rows import path_hash
 from experiments.suites.place_task import place_problem
 

@@ -12,18 +12,18 @@ from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts, MPNetSettings
 from cvqmpt_lab.methods.observation import Observer
 from cvqmpt_lab.methods.table import PLANNERS
-from cvqmpt_lab.models.checkpoint import MPNetCheckpoint, stored
-from cvqmpt_lab.models.config import MPNetConfig
-from cvqmpt_lab.models.mpnet.network import MPNet
-from cvqmpt_lab.models.robot_signature import RobotSignature
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
+from cvqmpt_lab.vqmpt.weights import RobotSignature
 from experiments.rows import Run, path_hash, result_row
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 

@@ -15,12 +15,6 @@ from training_data import kinematics, write_dataset
 from cli.main import main
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.models.checkpoint import load_checkpoint, save_checkpoint
-from cvqmpt_lab.models.config import PointCloudConfig, SetAbstractionConfig, TransformerConfig
-from cvqmpt_lab.models.decoding.beam_search import beam_search
-from cvqmpt_lab.models.robot_signature import RobotSignature
-from cvqmpt_lab.models.stored import read_model
-from cvqmpt_lab.prediction.mpnet_network import MPNetNetwork
 from cvqmpt_lab.training import run_folder
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.optimizer import OptimizerSettings
@@ -28,6 +22,11 @@ from cvqmpt_lab.training.point_clouds import CloudSettings
 from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.run_folder import RunFolder
 from cvqmpt_lab.training.runner import Request, run_training
+from cvqmpt_lab.vqmpt.beam_search import beam_search
+from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
+from cvqmpt_lab.vqmpt.config import PointCloudConfig, SetAbstractionConfig, TransformerConfig
+from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
+from cvqmpt_lab.vqmpt.weights import RobotSignature, read_model
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=16, d_inner=24)
 CLOUD = CloudSettings(points=48)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from cvqmpt_lab.models.checkpoint import load_checkpoint, stored
-from cvqmpt_lab.prediction.configurations import robot_signature
-from cvqmpt_lab.prediction.predictor import Predictor
-from cvqmpt_lab.prediction.settings import PredictorSettings
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
 
 
 @pytest.mark.parametrize(

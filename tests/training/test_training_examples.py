@@ -12,9 +12,6 @@ from cvqmpt_lab.cameras.camera import KINECT, DepthCamera
 from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.models.config import SetAbstractionConfig
-from cvqmpt_lab.models.point_cloud.encoder import SetAbstraction, TokenLevel
-from cvqmpt_lab.models.serial_chain import SerialChain
 from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, visible_points
 from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
@@ -25,6 +22,9 @@ from cvqmpt_lab.training.paths import Shapes
 from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
 from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
 from cvqmpt_lab.training.sequences import code_sequences
+from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
+from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.point_encoder import SetAbstraction, TokenLevel
 from experiments.labels.labelled_scenes import SHAPES
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))

@@ -13,10 +13,10 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import codebook_of
 from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.models.checkpoint import save_checkpoint
-from cvqmpt_lab.models.weights_folder import weights_digest
 from cvqmpt_lab.show.rasteriser import Viewpoint
 from cvqmpt_lab.show.still import still_image
+from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
+from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import drawing
 from experiments.figures.code_update import FAR, NEAR, UpdateSettings, squared_residual, update_codes
 from experiments.figures.drawing import cloud_figure, figure_bytes, histogram_figure

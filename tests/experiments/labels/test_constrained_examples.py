@@ -13,14 +13,13 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import seen_dictionary
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.methods.table import planner_named
-from cvqmpt_lab.models.stored import read_model
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, JointPath, PlanStatus
-from cvqmpt_lab.prediction.weights import WEIGHTS
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.vqmpt.weights import WEIGHTS, read_model
 from experiments.labels.constrained_examples import (
     HELD_OUT,
     constrained_labels,

@@ -9,15 +9,14 @@ from cvqmpt_lab.methods.learned import roadmap_path
 from cvqmpt_lab.methods.loaded import seen_dictionary
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.methods.table import planner_named
-from cvqmpt_lab.models.stored import VQ_MPT, read_model
-from cvqmpt_lab.models.weights_folder import write_weights
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.prediction.codebook import load_vq_mpt
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
+from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_weights
 from experiments.bench.seeing import area, calibration_error
 from experiments.bench.sequences import entropies
 from experiments.labels.labelled_scenes import unconstrained_space

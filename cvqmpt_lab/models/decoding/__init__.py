@@ -1,1 +1,0 @@
-"""Code sequences from any sequence model, by beam search."""

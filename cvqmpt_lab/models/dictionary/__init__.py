@@ -1,1 +1,0 @@
-"""Waypoints to codes and codes to Gaussians: stage 1 of VQ-MPT."""

@@ -1,1 +1,0 @@
-"""MPNet's network."""

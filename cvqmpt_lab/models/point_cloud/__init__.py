@@ -1,1 +1,0 @@
-"""From a point cloud to what networks see of it."""

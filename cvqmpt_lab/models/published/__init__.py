@@ -1,1 +1,0 @@
-"""The sequence model as published, and the importer of its checkpoints."""

@@ -1,0 +1,231 @@
+"""Tensors from files, checked before they fill a module."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.vqmpt.beam_search import StepDecoder
+from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.transformer import PublishedScene, PublishedSequenceModel
+from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, RobotSignature, StoredModel, read_model, write_weights
+
+CONSTANTS = ("pos_table", "l_index")
+"""Buffers that follow from the sizes: a file that has others was made for another model."""
+TOLERANCE = 1e-4
+"""Of those, and of the length of codes."""
+
+Module = TypeVar("Module", bound=nn.Module)
+
+
+def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: str) -> Module:
+    """Make a module with exactly these trained tensors, in evaluation mode.
+
+    The module is made only once names and shapes are known to fit, so that sizes which no file bears out
+    cost neither time nor memory.
+
+    Raises
+    ------
+    InvalidInputError
+        As `load_tensors`, and for what no training can have left: negative variances, codes that are not of
+        unit length, constants of another model.
+    """
+    with torch.device("meta"):
+        _require_fit(build(), tensors, where)
+    module = build().eval()
+    constants = {name: part.clone() for name, part in module.named_buffers() if _last(name) in CONSTANTS}
+    load_tensors(module, tensors, where)
+    state = module.state_dict()
+    faults = [
+        f"{name} is not that of this model's sizes"
+        for name, expected in constants.items()
+        if (state[name] - expected).abs().max() > TOLERANCE
+    ]
+    for name, tensor in state.items():
+        if _last(name) == "running_var" and (tensor < 0.0).any():
+            faults.append(f"{name} has negative variances")
+        if f".{name}".endswith(".embedding.weight") and ((tensor.norm(dim=1) - 1.0).abs() > TOLERANCE).any():
+            faults.append(f"{name} has codes that are not of unit length")
+    _refuse(faults, where)
+    return module
+
+
+def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
+    """Copy tensors into a module of exactly their names and shapes.
+
+    Raises
+    ------
+    InvalidInputError
+        Naming, after `where`, the tensors that are missing, left over, of another shape or kind, or not finite
+        in the module's precision.
+    """
+    _require_fit(module, tensors, where)
+    expected = module.state_dict()
+    require_finite({name: tensor.to(expected[name].dtype) for name, tensor in tensors.items()}, where)
+    module.load_state_dict(dict(tensors))
+
+
+def require_finite(tensors: Mapping[str, Tensor], where: str) -> None:
+    """Raise InvalidInputError naming the tensors that are not finite."""
+    _refuse([f"{n} has NaN or infinite values" for n, t in tensors.items() if not t.isfinite().all()], where)
+
+
+def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
+    expected = module.state_dict()
+    faults = [f"{name} is missing" for name in expected if name not in tensors]
+    for name, tensor in sorted(tensors.items()):
+        if name not in expected:
+            faults.append(f"{name} {tuple(tensor.shape)} is left over")
+        elif tensor.shape != expected[name].shape:
+            faults.append(f"{name} is {tuple(tensor.shape)}, expected {tuple(expected[name].shape)}")
+        elif tensor.is_floating_point() != expected[name].is_floating_point():
+            faults.append(f"{name} is {tensor.dtype}, expected {expected[name].dtype}")
+        elif tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
+            faults.append(f"{name} is sparse, quantized or without data")
+    _refuse(faults, where)
+
+
+def _last(name: str) -> str:
+    return name.rsplit(".", 1)[-1]
+
+
+def _refuse(faults: list[str], where: str) -> None:
+    if faults:
+        more = f" and {len(faults) - 5} more" if len(faults) > 5 else ""
+        raise InvalidInputError(f"{where} does not fit its configuration: {'; '.join(faults[:5])}{more}")
+
+
+# Trained models as torch modules: VQ-MPT (dictionary, and sequence model once there is one) and MPNet.
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A VQ-MPT model and what it belongs to."""
+
+    architecture: ClassVar[str] = VQ_MPT
+
+    config: ModelConfig
+    robot: RobotSignature
+    dictionary: Dictionary
+    sequence_model: PublishedSequenceModel | None = None
+    """None after stage 1 alone, which is all of a compact model."""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Json values: how it was trained."""
+
+    @property
+    def parts(self) -> dict[str, nn.Module]:
+        """Modules by the name of their weights file."""
+        parts: dict[str, nn.Module] = {"dictionary": self.dictionary}
+        if self.sequence_model is not None:
+            parts["sequence_model"] = self.sequence_model
+        return parts
+
+
+@dataclass(frozen=True, eq=False)
+class MPNetCheckpoint:
+    """A trained MPNet and what it belongs to."""
+
+    architecture: ClassVar[str] = MPNET
+
+    robot: RobotSignature
+    network: MPNet
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Json values: how it was trained."""
+
+    @property
+    def config(self) -> MPNetConfig:
+        """Sizes of the network."""
+        return self.network.config
+
+    @property
+    def parts(self) -> dict[str, nn.Module]:
+        """Modules by the name of their weights file."""
+        return {"mpnet": self.network}
+
+
+Trained = Checkpoint | MPNetCheckpoint
+
+
+def stored(checkpoint: Trained) -> StoredModel:
+    """A checkpoint's weights as they are now, copied to plain arrays."""
+    parts = {
+        name: {key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()}
+        for name, module in checkpoint.parts.items()
+    }
+    return StoredModel(
+        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
+    )
+
+
+def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
+    """Write a checkpoint, replacing an earlier one in `folder` at once or not at all.
+
+    Raises
+    ------
+    InvalidInputError
+        When weights are not finite or the disk refuses; nothing is left behind.
+    """
+    write_weights(
+        folder,
+        checkpoint.architecture,
+        to_plain(checkpoint.config, complete=True),
+        checkpoint.robot,
+        checkpoint.metadata,
+        stored(checkpoint).parts,
+    )
+
+
+def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
+    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU.
+
+    Parameters and errors are those of `read_model`; InvalidInputError also names the tensor that does not fit.
+    """
+    return as_modules(read_model(folder, robot, VQ_MPT))
+
+
+def as_modules(model: StoredModel) -> Checkpoint:
+    """VQ-MPT's weights in torch modules, in evaluation mode; raises InvalidInputError where they do not fit."""
+    config = model.config
+    builders = {
+        "dictionary": lambda: Dictionary(config),
+        "sequence_model": lambda: PublishedSequenceModel(config),
+    }
+    modules: dict[str, Any] = {
+        name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)
+        for name, build in builders.items()
+        if name in model.parts
+    }
+    return Checkpoint(config, model.robot, metadata=model.metadata, **modules)
+
+
+# The published architecture at work: its networks run in torch.
+class PublishedNetwork:
+    """A sequence model of the published kind as prediction uses it."""
+
+    def __init__(self, model: StoredModel) -> None:
+        """Take the weights over; raises InvalidInputError when they do not fit their configuration."""
+        checkpoint = as_modules(model)
+        assert checkpoint.sequence_model is not None
+        self._dictionary, self._model = checkpoint.dictionary, checkpoint.sequence_model
+
+    @torch.inference_mode()
+    def encode_scene(self, points: np.ndarray) -> PublishedScene:
+        """A cloud (m, 3) float32 [m]."""
+        return self._model.encode_scene([torch.tensor(points)])
+
+    @torch.inference_mode()
+    def decoder(self, scene: PublishedScene, starts: np.ndarray, goals: np.ndarray) -> StepDecoder:
+        """What a search of code sequences asks, for starts and goals (q, joint_dim)."""
+        return self._model.decoder(self._dictionary, scene, torch.from_numpy(starts), torch.from_numpy(goals))
+
+
+@torch.inference_mode()
+def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
+    """Code (t,) int64 of each configuration (t, configuration_dim) of a trajectory, by any encoder."""
+    return as_modules(model).dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()

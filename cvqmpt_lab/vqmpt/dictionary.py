@@ -1,0 +1,282 @@
+"""The dictionary's codes: unit vectors, the nearest by cosine, learnt through a straight-through step."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.vqmpt.attention import FeedForward, SelfAttentionLayer, sinusoid_table
+from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, TransformerConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Quantized:
+    """Latents before and after quantization."""
+
+    latent: Tensor
+    """(..., d_model)."""
+    quantized: Tensor
+    """(..., d_model), of the nearest code."""
+    codes: Tensor
+    """(...) int64: which that is."""
+
+
+class Quantizer(nn.Module):
+    """Projects latents to few dimensions, replaces them by the nearest code, projects back.
+
+    Every forward call scales the codes back to unit length, in place; after the last optimizer step call
+    `normalise_codes` before saving. The batch norm is never applied; it is part of the published
+    checkpoints' layout.
+    """
+
+    def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
+        super().__init__()
+        self.input_linear_map = nn.Linear(d_model, code_dim)
+        self.output_linear_map = nn.Linear(code_dim, d_model)
+        self.embedding = nn.Embedding(n_codes, code_dim)
+        nn.init.xavier_uniform_(self.embedding.weight)
+        self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
+        self.normalise_codes()
+
+    @torch.no_grad()
+    def normalise_codes(self) -> None:
+        """Scale every code to unit length, in place."""
+        self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
+
+    def project(self, latent: Tensor) -> Tensor:
+        """Unit vectors (..., code_dim) that stand for latents (..., d_model)."""
+        return F.normalize(self.input_linear_map(latent), dim=-1)
+
+    def nearest(self, z: Tensor) -> Tensor:
+        """Index (...) of the code with the largest cosine to each unit vector z (..., code_dim)."""
+        with torch.no_grad():
+            return (z @ self.embedding.weight.T).argmax(dim=-1)
+
+    def forward(self, latent: Tensor) -> Quantized:
+        """Quantize latents (..., d_model).
+
+        The value passed on is e; its gradient reaches the encoder (as if z had been passed on) and the
+        code e alike: z + e - stop_gradient(z).
+        """
+        self.normalise_codes()
+        z = self.project(latent)
+        codes = self.nearest(z)
+        through = z + self.embedding(codes) - z.detach()
+        return Quantized(latent, self.output_linear_map(through), codes)
+
+    def lookup(self, codes: Tensor) -> Tensor:
+        """Latents (..., d_model) of codes (...), ready for the decoder."""
+        return self.output_linear_map(self.embedding(codes))
+
+    def restart_codes(self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None) -> int:
+        """Put codes onto encoded waypoints drawn at random; return how many were moved.
+
+        Parameters
+        ----------
+        dead
+            (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from data.
+        latents
+            (m, d_model): encoded waypoints.
+        generator
+            Source of the draw (without replacement while `latents` last).
+
+        Raises
+        ------
+        InvalidInputError
+            When there are no latents to move to.
+        """
+        indices = dead.nonzero()[:, 0]
+        if len(indices) == 0:
+            return 0
+        if len(latents) == 0:
+            raise InvalidInputError("restart of codes from 0 latents; give at least one encoded waypoint")
+        order = torch.randperm(len(latents), generator=generator)
+        chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
+        with torch.no_grad():
+            self.embedding.weight[indices] = self.project(latents[chosen])
+        return len(indices)
+
+
+# Stage 1, first half: from waypoints to latent vectors, one per waypoint.
+class PositionTable(nn.Module):
+    """Fixed sinusoidal code of the position in a trajectory, kept as a buffer."""
+
+    pos_table: Tensor
+
+    def __init__(self, n_position: int, d_model: int) -> None:
+        super().__init__()
+        self.register_buffer("pos_table", sinusoid_table(n_position, d_model)[None])
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Add the code to tokens (b, t, d_model).
+
+        Raises
+        ------
+        InvalidInputError
+            When the trajectory is longer than the table.
+        """
+        length, longest = tokens.shape[1], self.pos_table.shape[1]
+        if length > longest:
+            raise InvalidInputError(f"trajectory of {length} waypoints; this encoder takes {longest} at most")
+        return tokens + self.pos_table[:, :length]
+
+
+class TrajectoryEncoder(nn.Module):
+    """Transformer over a whole trajectory (paper, section on VQ-MPT; sizes of the published code).
+
+    One layer norm serves three times: after the embedding, after the position code and at the end.
+    Padded waypoints are attended to, as in the published code; only the losses mask them.
+    """
+
+    def __init__(self, input_dim: int, n_position: int, sizes: TransformerConfig) -> None:
+        super().__init__()
+        self.to_embedding = nn.Sequential(
+            nn.Linear(input_dim, sizes.d_model), nn.ReLU(), nn.Linear(sizes.d_model, sizes.d_model)
+        )
+        self.position_enc = PositionTable(n_position, sizes.d_model)
+        self.layer_stack = nn.ModuleList(SelfAttentionLayer(sizes) for _ in range(sizes.n_layers))
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+        self.dropout = sizes.dropout
+
+    def forward(self, waypoints: Tensor) -> Tensor:
+        """Encode waypoints (b, t, input_dim), joints normalised to [0, 1], as latents (b, t, d_model)."""
+        tokens = self.position_enc(self.layer_norm(self.to_embedding(waypoints)))
+        tokens = self.layer_norm(F.dropout(tokens, self.dropout, self.training))
+        for layer in self.layer_stack:
+            tokens = layer(tokens)
+        return self.layer_norm(tokens)
+
+
+class WaypointEncoder(nn.Module):
+    """Perceptron on each waypoint alone: the code of a configuration does not depend on its path."""
+
+    def __init__(self, input_dim: int, sizes: TransformerConfig) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(input_dim, sizes.d_inner),
+            nn.ReLU(),
+            nn.Linear(sizes.d_inner, sizes.d_inner),
+            nn.ReLU(),
+            nn.Linear(sizes.d_inner, sizes.d_model),
+            nn.LayerNorm(sizes.d_model, eps=EPSILON),
+        )
+
+    def forward(self, waypoints: Tensor) -> Tensor:
+        """Encode waypoints (..., input_dim) as latents (..., d_model)."""
+        return self.layers(waypoints)
+
+
+# Stage 1, second half: from a quantized latent to a Gaussian over normalised configurations.
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """A batch of Gaussians with covariance L D L^T (published code; the paper prints L D^2 L^T)."""
+
+    mean: Tensor
+    """(..., n), normalised joints."""
+    lower: Tensor
+    """(..., n, n), L, ones on the diagonal."""
+    diagonal: Tensor
+    """(..., n), D, positive."""
+
+    @property
+    def covariance(self) -> Tensor:
+        """L D L^T (..., n, n)."""
+        return (self.lower * self.diagonal[..., None, :]) @ self.lower.mT
+
+    def log_prob(self, u: Tensor) -> Tensor:
+        """Log density (...) at normalised joints u (..., n) [nats]."""
+        offset = (u - self.mean)[..., None]
+        whitened = torch.linalg.solve_triangular(
+            self.lower.expand(*offset.shape[:-2], *self.lower.shape[-2:]),
+            offset,
+            upper=False,
+            unitriangular=True,
+        )
+        mahalanobis = (whitened[..., 0].square() / self.diagonal).sum(-1)
+        n = self.mean.shape[-1]
+        return -0.5 * (mahalanobis + self.diagonal.log().sum(-1) + n * math.log(2.0 * math.pi))
+
+    def entropy(self) -> Tensor:
+        """Differential entropy (...) [nats]."""
+        n = self.mean.shape[-1]
+        return 0.5 * (self.diagonal.log().sum(-1) + n * (1.0 + math.log(2.0 * math.pi)))
+
+
+class GaussianDecoder(nn.Module):
+    """Feed-forward block (normalised at its end), then three linear heads: mean, D and L."""
+
+    l_index: Tensor
+
+    def __init__(self, d_model: int, d_inner: int, joint_dim: int, dropout: float) -> None:
+        super().__init__()
+        self.pos_ffn = FeedForward(d_model, d_inner, dropout, norm_first=False)
+        self.mu = nn.Sequential(nn.Linear(d_model, joint_dim), nn.Tanh())
+        self.diag = nn.Sequential(nn.Linear(d_model, joint_dim))
+        self.l = nn.Sequential(nn.Linear(d_model, joint_dim * (joint_dim - 1) // 2))
+        self.register_buffer("l_index", torch.tril_indices(joint_dim, joint_dim, offset=-1))
+
+    def forward(self, latent: Tensor) -> Gaussians:
+        """Decode latents (..., d_model): mean in (0, 1), D = softplus, L's strict lower triangle linear."""
+        hidden = self.pos_ffn(latent)
+        mean = 0.5 * (self.mu(hidden) + 1.0)
+        n = mean.shape[-1]
+        identity = torch.eye(n, dtype=mean.dtype, device=mean.device).expand(*mean.shape, n)
+        lower = identity.flatten(-2).index_copy(-1, self.l_index[0] * n + self.l_index[1], self.l(hidden))
+        return Gaussians(mean, lower.unflatten(-1, (n, n)), F.softplus(self.diag(hidden)))
+
+
+# Stage 1 as a whole: waypoint -> latent -> code -> Gaussian.
+@dataclass(frozen=True, eq=False)
+class DictionaryOutput:
+    """The Gaussian of every waypoint and the quantization it came from."""
+
+    gaussians: Gaussians
+    quantized: Quantized
+
+
+class Dictionary(nn.Module):
+    """Encoder, quantizer and decoder; the last two are what planning uses."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        sizes, options = config.dictionary.transformer, config.dictionary
+        self.encoder: nn.Module
+        if options.encoder == "transformer":
+            self.encoder = TrajectoryEncoder(config.configuration_dim, options.n_position, sizes)
+        else:
+            self.encoder = WaypointEncoder(config.configuration_dim, sizes)
+        self.quantizer = Quantizer(options.n_codes, options.code_dim, sizes.d_model)
+        self.decoder = GaussianDecoder(
+            sizes.d_model, sizes.d_inner, config.joint_dim, options.decoder_dropout
+        )
+
+    def forward(self, waypoints: Tensor) -> DictionaryOutput:
+        """Encode and decode trajectories.
+
+        Parameters
+        ----------
+        waypoints
+            (b, t, configuration_dim): normalised joints in [0, 1], then features [m], if any. Padded
+            waypoints are treated like any other; mask them in the losses.
+        """
+        quantized = self.quantizer(self.encoder(waypoints))
+        return DictionaryOutput(self.decoder(quantized.quantized), quantized)
+
+    def encode(self, waypoints: Tensor) -> Tensor:
+        """Codes (b, t) int64 of waypoints (b, t, configuration_dim)."""
+        return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
+
+    def decode(self, z: Tensor) -> Gaussians:
+        """Gaussians (...) of code vectors z (..., code_dim), which need not be in the dictionary.
+
+        Differentiable in z; what the latent optimizer moves (paper, algorithm 2).
+        """
+        return self.decoder(self.quantizer.output_linear_map(z))
+
+    def code_gaussians(self, codes: Tensor | None = None) -> Gaussians:
+        """Gaussians of codes (...), or of the whole dictionary (n_codes,)."""
+        vectors = self.quantizer.embedding.weight
+        return self.decode(vectors if codes is None else vectors[codes])

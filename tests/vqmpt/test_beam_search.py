@@ -1,0 +1,144 @@
+"""Beam search on a table of probabilities, against the same by hand."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.vqmpt.beam_search import beam_search
+
+CODES = 4
+START, GOAL = CODES, CODES + 1
+STEPS = 12
+
+
+class TableDecoder:
+    """P(next | step, last code) by query; the last code is 'none' (row 4) at first."""
+
+    def __init__(self, tables):
+        self.tables = np.asarray(tables, dtype=np.float32)
+
+    def start(self):
+        self.queries, self.prefixes = np.arange(len(self.tables)), [()] * len(self.tables)
+        return self._logits()
+
+    def advance(self, parents, codes):
+        self.queries = np.array([self.queries[p] for p in parents])
+        self.prefixes = [self.prefixes[p] + (int(c),) for p, c in zip(parents, codes, strict=True)]
+        assert all(code < CODES for prefix in self.prefixes for code in prefix)
+        return self._logits()
+
+    def _logits(self):
+        rows = [given(self.tables[q], p) for q, p in zip(self.queries, self.prefixes, strict=True)]
+        return np.log(np.array(rows)) + np.float32(3.0)
+
+
+def given(table, prefix):
+    """P(next) after a prefix; later steps have the last step's table."""
+    return table[min(len(prefix), STEPS - 1), prefix[-1] if prefix else CODES]
+
+
+def tables(seed, queries=1, goal=0.15):
+    shape = (queries, STEPS, CODES + 1)
+    weights = np.random.default_rng(seed).dirichlet([0.5] * CODES, shape) * (0.95 - goal) + 1e-4
+    both = np.concatenate((weights, np.broadcast_to([0.05, goal], (*shape, 2))), axis=-1)
+    return both / both.sum(-1, keepdims=True)
+
+
+def log_probability(table, codes, finished=True):
+    path = (*codes, GOAL) if finished else codes
+    return sum(np.log(given(table, path[:i])[code]) for i, code in enumerate(path))
+
+
+def is_allowed(codes):
+    return all(a != b for a, b in itertools.pairwise(codes))
+
+
+def beam_by_hand(table, k, length):
+    """Keep the k best of all continuations, finished ones included, until one of those ranks first."""
+    beams = [((), 0.0)]
+    for step in range(length):
+        candidates = []
+        for codes, score in beams:
+            if codes and codes[-1] == GOAL:
+                candidates.append((codes, score))
+                continue
+            for code in (*range(CODES), GOAL):
+                if codes[-1:] != (code,) and not (step == 0 and code == GOAL):
+                    candidates.append(((*codes, code), score + np.log(given(table, codes)[code])))
+        beams = sorted(candidates, key=lambda c: -c[1])[:k]
+        if beams[0][0][-1] == GOAL:
+            return beams[0]
+    finished = [beam for beam in beams if beam[0][-1] == GOAL]
+    return (finished or beams)[0]
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(("beams", "length"), [(1, 12), (2, 1), (2, 2), (2, 4), (2, 12), (4, 12)])
+def test_beams_in_a_batch_are_searched_as_if_alone(seed, beams, length):
+    table = tables(seed, queries=5)
+    found = beam_search(TableDecoder(table), beams=beams, max_length=length)
+    for query in range(5):
+        codes, score = beam_by_hand(table[query], beams, length)
+        assert found[query].finished == (codes[-1] == GOAL)
+        assert found[query].codes == tuple(code for code in codes if code != GOAL)
+        assert found[query].score == found[query].log_probability == pytest.approx(score, abs=1e-5)
+
+
+def published_by_hand(table, k, length):
+    """Return codes, score and whether the goal token came, by the rules of the published code."""
+    ranked = sorted(range(CODES), key=lambda code: -given(table, ())[code])[:k]
+    beams = [((code,), np.log(given(table, ())[code])) for code in ranked]
+    for _ in range(length - 1):
+        forbidden = {codes[-1] for codes, _ in beams}
+        candidates = [
+            ((*codes, code), score + given(table, codes)[code])
+            for codes, score in beams
+            for code in (*range(CODES), GOAL)
+            if code not in forbidden
+        ]
+        beams = sorted(candidates, key=lambda c: -c[1])[:k]
+        for codes, score in beams:
+            if codes[-1] == GOAL:
+                return codes[:-1], score, True
+    return beams[0][0], beams[0][1], False
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_published_scoring(seed):
+    table = tables(seed, queries=4, goal=0.03)
+    found = beam_search(TableDecoder(table), beams=3, max_length=6, scoring="published")
+    for query in range(4):
+        codes, score, finished = published_by_hand(table[query], 3, 6)
+        assert (found[query].codes, found[query].finished) == (codes, finished)
+        assert found[query].score == pytest.approx(score, abs=1e-5)
+        assert found[query].log_probability == pytest.approx(
+            log_probability(table[query], codes, finished), abs=1e-5
+        )
+
+
+def test_a_goal_that_never_comes_is_said():
+    table = tables(0, goal=1e-9)
+    sequence = beam_search(TableDecoder(table), beams=2, max_length=5)[0]
+    assert not sequence.finished
+    assert len(sequence.codes) == 5 and is_allowed(sequence.codes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"beams": 0}, "0 beams; give 1 to 4"),
+        ({"beams": 5}, "5 beams; give 1 to 4"),
+        ({"max_length": 0}, "0 tokens"),
+        ({"scoring": "best"}, "unknown scoring 'best'; valid choices: log-probability, published"),
+    ],
+)
+def test_bad_options_of_the_search(arguments, message):
+    with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
+        beam_search(TableDecoder(tables(0)), **arguments)
+
+
+def test_logits_that_are_not_finite_are_refused():
+    with pytest.raises(InvalidInputError, match="not finite"):
+        beam_search(TableDecoder(np.full((1, STEPS, CODES + 1, CODES + 2), np.nan)))

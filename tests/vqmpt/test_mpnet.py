@@ -1,0 +1,86 @@
+"""MPNet: sizes, dropout that stays on, drawing of points, weights on disk."""
+
+import numpy as np
+import pytest
+import torch
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.mpnet_network import MPNet, draw_points
+from cvqmpt_lab.vqmpt.weights import MPNET, RobotSignature, read_model
+
+SMALL = MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 12, 8))
+ROBOT = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
+
+
+@pytest.fixture
+def network():
+    torch.manual_seed(0)
+    return MPNet(SMALL).eval()
+
+
+def queries(count=3):
+    generator = torch.Generator().manual_seed(1)
+    shapes = ((count, 7), (count, 7), (count, 4))
+    return [2.0 * torch.rand(shape, generator=generator) - 1.0 for shape in shapes]
+
+
+def test_published_sizes():
+    network = MPNet(MPNetConfig())
+    shapes = [tuple(layer[0].weight.shape) for layer in network.hidden]
+    assert shapes[0] == (1280, 74) and shapes[-1] == (32, 64) and network.out.weight.shape == (7, 32)
+    encoder = [tuple(layer.weight.shape) for layer in network.encoder if isinstance(layer, torch.nn.Linear)]
+    assert encoder == [(786, 12360), (512, 786), (256, 512), (60, 256)]
+
+
+def test_forward_is_a_chain_of_linear_and_prelu(network):
+    current, goal, code = queries()
+    x = torch.cat((code, current, goal), 1)
+    for linear, prelu in network.hidden:
+        x = x @ linear.weight.T + linear.bias
+        x = torch.where(x > 0, x, prelu.weight * x)
+    expected = x @ network.out.weight.T + network.out.bias
+    torch.testing.assert_close(network(current, goal, code, stochastic=False), expected)
+    assert network.encode(torch.rand(3, 10, 3)).shape == (3, 4)
+    with pytest.raises(InvalidInputError, match=r"this network takes \(10, 3\)"):
+        network.encode(torch.rand(3, 9, 3))
+
+
+def test_dropout_stays_on_and_repeats_by_seed(network):
+    ends = queries()
+
+    def propose(seed):
+        return network(*ends, generator=torch.Generator().manual_seed(seed))
+
+    torch.testing.assert_close(propose(0), propose(0))
+    assert not torch.equal(propose(0), propose(1))
+    x = torch.ones(200, 200)
+    dropped = network.dropout(x, True, torch.Generator().manual_seed(0))
+    assert set(dropped.unique().tolist()) == {0.0, 2.0}
+    assert float(dropped.mean()) == pytest.approx(1.0, abs=0.02)
+
+
+def test_points_are_drawn_without_replacement_while_they_last():
+    cloud = torch.arange(12.0).reshape(4, 3)
+    drawn = draw_points(cloud, 4, torch.Generator().manual_seed(0))
+    assert sorted(drawn[:, 0].tolist()) == [0.0, 3.0, 6.0, 9.0]
+    assert len(draw_points(cloud, 10)) == 10
+    with pytest.raises(InvalidInputError, match="1 points"):
+        draw_points(cloud[:1], 4)
+
+
+def test_it_trains(network):
+    current, goal, _ = queries()
+    network(current, goal, network.encode(torch.rand(3, 10, 3))).square().sum().backward()
+    assert not [name for name, p in network.named_parameters() if p.grad is None]
+
+
+def test_round_trip(network, tmp_path):
+    save_checkpoint(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
+    loaded = read_model(tmp_path / "m", ROBOT, MPNET)
+    assert (loaded.config, loaded.robot, loaded.metadata) == (SMALL, ROBOT, {"note": "x"})
+    for name, tensor in network.state_dict().items():
+        np.testing.assert_array_equal(loaded.parts["mpnet"][name], tensor)
+    with pytest.raises(InvalidInputError, match="not 'leg'"):
+        read_model(tmp_path / "m", RobotSignature("leg", ROBOT.lower, ROBOT.upper))

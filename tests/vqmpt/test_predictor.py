@@ -1,0 +1,248 @@
+"""Prediction with small networks of random weights: features, cache, union, mixture, refusals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from small_models import METADATA, compact_config, random_checkpoint
+from training_data import LOWER, UPPER, kinematics
+
+from cvqmpt_lab.codec.plain import from_plain
+from cvqmpt_lab.distributions import Uniform
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.training.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.beam_search import CodeSequence
+from cvqmpt_lab.vqmpt.checkpoint import stored
+from cvqmpt_lab.vqmpt.codebook import Codebook, ModelConfigurations
+from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, GOAL_STD, CodeUnion, Predictor, PredictorSettings
+from cvqmpt_lab.vqmpt.weights import RobotSignature
+
+BEAM = PredictorSettings(uniform_share=0.15, std_floor=None)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(panda):
+    return random_checkpoint(panda)
+
+
+@pytest.fixture(scope="module")
+def queries(panda):
+    """Cloud, start and six goals."""
+    rng = np.random.default_rng(3)
+    q = panda.random_configurations(rng, 7)
+    return rng.uniform(-0.8, 0.8, (200, 3)), q[0], q[1:]
+
+
+def test_configurations_are_those_of_training(panda):
+    q = panda.random_configurations(np.random.default_rng(0), 300)
+    ours = ModelConfigurations(stored(random_checkpoint(panda, compact_config())), panda)
+    chain = from_plain(SerialChain, kinematics())
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
+    u = ours.normalised(q)
+    np.testing.assert_allclose(ours.of(q), links.configurations(torch.from_numpy(u).float()), atol=1e-6)
+    np.testing.assert_allclose(ours.radians(u), q, atol=1e-12)
+
+
+def test_every_goal_has_the_distinct_codes_of_its_sequence(panda, checkpoint, queries):
+    prediction = Predictor(stored(checkpoint), panda, BEAM).predict(*queries)
+    assert len(prediction.sequences) == 6 and len(set(prediction.codes)) > 1
+    for goal, found in enumerate(prediction.sequences):
+        codes = prediction.codes[prediction.goal_of == goal].tolist()
+        assert codes == (list(dict.fromkeys(found.codes)) if found.finished else [])
+    vectors = checkpoint.dictionary.quantizer.embedding.weight.detach().numpy()
+    np.testing.assert_array_equal(prediction.z, vectors[prediction.codes])
+    np.testing.assert_allclose(np.linalg.norm(prediction.z, axis=1), 1.0, rtol=1e-6)
+
+
+def test_goals_in_one_batch_are_predicted_as_alone(panda, checkpoint, queries):
+    cloud, start, goals = queries
+    predictor = Predictor(stored(checkpoint), panda, BEAM)
+    together = predictor.predict(*queries)
+    for goal in range(len(goals)):
+        alone = predictor.predict(cloud, start, goals[goal : goal + 1])
+        assert alone.sequences[0].codes == together.sequences[goal].codes
+        np.testing.assert_allclose(alone.means, together.means[together.goal_of == goal], atol=1e-4)
+
+
+def test_a_known_scene_changes_nothing_but_the_time(panda, checkpoint, queries):
+    predictor = Predictor(stored(checkpoint), panda, BEAM)
+    first, again = predictor.predict(*queries), predictor.predict(*queries)
+    fresh = Predictor(stored(checkpoint), panda, BEAM).predict(*queries)
+    assert (first.cached, again.cached, fresh.cached) == (False, True, False)
+    for name in ("codes", "goal_of", "z", "means", "covariances"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name), strict=True)
+        np.testing.assert_array_equal(getattr(fresh, name), getattr(first, name), strict=True)
+    assert again.sequences == first.sequences and again.predict_seconds > 0.0
+
+
+def test_the_least_recently_used_scene_is_forgotten(panda, checkpoint, queries):
+    predictor = Predictor(stored(checkpoint), panda, dataclasses.replace(BEAM, scenes=2))
+    clouds = [queries[0] + 0.1 * i for i in range(3)]
+    assert [predictor.encode_scene(clouds[i]).cached for i in (0, 1, 0, 2, 0, 1)] == [
+        False, False, True, False, True, False,
+    ]  # fmt: skip
+    np.testing.assert_array_equal(queries[0], clouds[0])
+
+
+@pytest.mark.parametrize("settings", [BEAM, dataclasses.replace(BEAM, scoring="published")])
+def test_predictions_are_the_dictionary_s_gaussians(panda, checkpoint, queries, settings):
+    prediction = Predictor(stored(checkpoint), panda, settings).predict(*queries)
+    assert len(prediction.codes) >= 6
+    with torch.no_grad():
+        expected = checkpoint.dictionary.code_gaussians(torch.from_numpy(prediction.codes))
+    span = panda.upper - panda.lower
+    np.testing.assert_allclose((prediction.means - panda.lower) / span, expected.mean, atol=1e-5)
+    scaled = prediction.covariances / np.outer(span, span)
+    np.testing.assert_allclose(scaled, expected.covariance, rtol=1e-3, atol=1e-6)
+
+
+def test_the_mixture_is_the_union_the_goals_and_a_uniform_share(panda, checkpoint, queries):
+    predictor = Predictor(stored(checkpoint), panda, BEAM)
+    prediction = predictor.predict(*queries)
+    mixture = predictor.mixture(prediction)
+    c, span = len(prediction.codes), panda.upper - panda.lower
+    assert mixture.name == "cvq-mpt" and len(mixture.weights) == c + 6
+    np.testing.assert_allclose(mixture.weights, 1.0 / (c + 6))
+    np.testing.assert_array_equal(mixture.means[:c], prediction.means)
+    np.testing.assert_array_equal(mixture.means[c:], queries[2])
+    np.testing.assert_allclose(mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * 6)
+    np.testing.assert_allclose(mixture.covariances[:c], prediction.covariances)
+    assert mixture.uniform_share == 0.15
+    np.testing.assert_array_equal(mixture.uniform.lower, panda.lower)
+    plain = dataclasses.replace(predictor.settings, goal_gaussian=False, uniform_share=0.0, name="plain")
+    mixture = Predictor(stored(checkpoint), panda, plain).mixture(prediction)
+    assert (len(mixture.weights), mixture.uniform_share, mixture.name) == (c, 0.0, "plain")
+    draws = mixture.sample(np.random.default_rng(0), 20_000)
+    np.testing.assert_allclose(draws.mean(0), prediction.means.mean(0), atol=0.1)
+
+
+def test_moved_codes_have_gaussians_of_their_own(panda, checkpoint, queries):
+    predictor = Predictor(stored(checkpoint), panda, BEAM)
+    prediction = predictor.predict(*queries)
+    z = np.roll(prediction.z, 1, axis=0)
+    mixture = predictor.mixture(prediction, z)
+    means, covariances = Codebook(stored(checkpoint), panda).gaussians(z)
+    np.testing.assert_allclose(mixture.means[: len(z)], means)
+    np.testing.assert_allclose(mixture.covariances[: len(z)], covariances)
+    unmoved = predictor.mixture(prediction, prediction.z)
+    np.testing.assert_allclose(unmoved.means, predictor.mixture(prediction).means, atol=1e-6)
+    with pytest.raises(InvalidInputError, match=r"codes of shape \(1, 8\); expected"):
+        predictor.mixture(prediction, z[:1])
+
+
+def test_gaussians_can_be_widened(panda, checkpoint, queries):
+    predictor = Predictor(stored(checkpoint), panda, dataclasses.replace(BEAM, std_floor=0.5))
+    prediction = predictor.predict(*queries)
+    before = np.sqrt(np.linalg.eigvalsh(prediction.covariances))
+    after = np.sqrt(np.linalg.eigvalsh(predictor.mixture(prediction).covariances))[: len(before)]
+    assert before.min() < 0.49 and before.max() > 0.51
+    np.testing.assert_allclose(after, np.maximum(before, 0.5), rtol=1e-6)
+
+
+def test_goals_that_are_never_reached_are_named(panda, queries):
+    never = random_checkpoint(panda, goal_bias=-1e6)
+    predictor = Predictor(stored(never), panda, BEAM)
+    prediction = predictor.predict(*queries)
+    assert prediction.unfinished == tuple(range(6)) and len(prediction.codes) == 0
+    np.testing.assert_array_equal(predictor.mixture(prediction).means, queries[2])
+    for settings in (dataclasses.replace(BEAM, goal_gaussian=False), AS_PUBLISHED):
+        assert isinstance(Predictor(stored(never), panda, settings).mixture(prediction), Uniform)
+
+
+def test_as_published_repeated_codes_count_as_often_as_they_occur(panda, checkpoint, queries):
+    """Random weights repeat codes; the goal's Gaussian comes on top."""
+    predictor = Predictor(stored(checkpoint), panda, AS_PUBLISHED)
+    prediction = predictor.predict(*queries)
+    finished = [one for one in prediction.sequences if one.finished]
+    assert len(prediction.codes) == sum(len(one.codes) for one in finished)
+    mixture = predictor.mixture(prediction)
+    assert len(mixture.weights) == len(prediction.codes) + 6 and mixture.uniform_share == 0.0
+
+
+def test_repeated_codes_count_once_or_as_often_and_unfinished_sequences_not_at_all():
+    found = [
+        CodeSequence((3, 1, 3), True, 0.0, 0.0),
+        CodeSequence((5,), False, 0.0, 0.0),
+        CodeSequence((1, 2), True, 0.0, 0.0),
+    ]
+    once, often = CodeUnion.of(found), CodeUnion.of(found, repeated=True)
+    assert once.codes.tolist() == [3, 1, 1, 2] and once.goal_of.tolist() == [0, 0, 2, 2]
+    assert often.codes.tolist() == [3, 1, 3, 1, 2] and often.goal_of.tolist() == [0, 0, 0, 2, 2]
+
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+CLOUD = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 3))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cloud": np.empty((0, 3))}, "point cloud of 0 points; give at least 2"),
+        ({"cloud": CLOUD[:1]}, "point cloud of 1 points"),
+        ({"cloud": np.where(np.arange(50)[:, None] == 7, np.nan, CLOUD)}, "1 points with NaN"),
+        ({"cloud": 1000.0 * CLOUD}, "give metres, not millimetres"),
+        ({"cloud": CLOUD[:, :2]}, r"shape \(50, 2\); it must be \(n, 3\)"),
+        ({"cloud": CLOUD[None]}, r"shape \(1, 50, 3\)"),
+        ({"cloud": "cloud.ply"}, "point cloud must be numbers"),
+        ({"start": HOME + [0, 0, 0, 3.0, 0, 0, 0]}, "start: joint 'panda_joint4' is 0.7138 outside"),
+        ({"start": HOME[:6]}, r"start of shape \(6,\); robot 'panda' takes \(7,\)"),
+        ({"goals": [HOME, HOME - 2.0]}, "goal 1: joint 'panda_joint4' is"),
+        ({"goals": HOME}, r"goals of shape \(7,\)"),
+        ({"goals": np.empty((0, 7))}, "at least one"),
+        ({"goals": [HOME * np.nan]}, "goal 0: joint 'panda_joint1' is not finite"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(panda, checkpoint, change, message):
+    given = {"cloud": CLOUD, "start": HOME, "goals": [HOME]} | change
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        Predictor(stored(checkpoint), panda, BEAM).predict(**given)
+    assert "\n" not in str(caught.value)
+
+
+def changed_kinematics(**changes):
+    return {"kinematics": METADATA["kinematics"] | changes}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"metadata": {}}, "its metadata has no kinematics"),
+        ({"metadata": changed_kinematics(points=[1, 2])}, "points and offsets describe 7, 7, 2 and 4"),
+        (
+            {"metadata": changed_kinematics(translation=np.full((7, 3), 0.01).tolist())},
+            "another translation of joint 'panda_joint5' .difference 0.374",
+        ),
+    ],
+)  # fmt: skip
+def test_link_features_of_other_kinematics_are_refused(panda, change, message):
+    model = stored(dataclasses.replace(random_checkpoint(panda, compact_config()), **change))
+    with pytest.raises(InvalidInputError, match=message):
+        ModelConfigurations(model, panda)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sequence_model": None}, "train stage2"),
+        ({"robot": RobotSignature("ur5", tuple(LOWER), tuple(UPPER))}, "for robot 'ur5', not 'panda'"),
+    ],
+)
+def test_models_that_do_not_fit_are_refused(panda, checkpoint, change, message):
+    with pytest.raises(InvalidInputError, match=message):
+        Predictor(stored(dataclasses.replace(checkpoint, **change)), panda)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"scoring": "best"}, "unknown scoring 'best'"),
+        ({"beams": 0}, "beams of the predictor is 0"),
+        ({"uniform_share": 1.5}, "uniform_share of the predictor is 1.5"),
+        ({"std_floor": 0.0}, "std_floor of the predictor is 0.0"),
+    ],
+)
+def test_settings_are_checked(settings, message):
+    with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
+        PredictorSettings(**settings)

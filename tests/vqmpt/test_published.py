@@ -1,0 +1,355 @@
+"""The published architecture against formulas written out a second time."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch.nn import functional as F
+
+from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.training.losses import quantization_loss, sequence_loss, stage1_loss
+from cvqmpt_lab.vqmpt.attention import FeedForward, MultiHeadAttention, sinusoid_table
+from cvqmpt_lab.vqmpt.beam_search import beam_search
+from cvqmpt_lab.vqmpt.config import (
+    DictionaryConfig,
+    ModelConfig,
+    PointCloudConfig,
+    SequenceConfig,
+    SetAbstractionConfig,
+    TransformerConfig,
+)
+from cvqmpt_lab.vqmpt.dictionary import Dictionary, GaussianDecoder, Quantized, Quantizer, TrajectoryEncoder
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_samples
+
+SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
+SMALL = ModelConfig(
+    dictionary=DictionaryConfig(transformer=SIZES, n_position=30, n_codes=12),
+    point_cloud=PointCloudConfig(
+        sa1=SetAbstractionConfig(ratio=0.75, radius=0.2, widths=(8, 12)),
+        sa2=SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(20, 16)),
+    ),
+    sequence=SequenceConfig(context=SIZES, transformer=SIZES),
+)
+
+
+@pytest.fixture(autouse=True)
+def seed():
+    torch.manual_seed(0)
+
+
+def test_parameter_counts_are_those_of_the_published_checkpoints():
+    dictionary, sequence = Dictionary(ModelConfig()), PublishedSequenceModel(ModelConfig())
+    parts = {
+        dictionary.encoder: (43, 10_502_144),
+        dictionary.quantizer: (8, 25_096),
+        dictionary.decoder: (13, 1_069_091),
+        sequence.context: (72, 10_945_472),
+        sequence.autoregressive: (40, 11_287_042),
+    }
+    for module, (tensors, parameters) in parts.items():
+        assert len(module.state_dict()) == tensors
+        assert sum(p.numel() for p in module.parameters()) == parameters
+
+
+def layer_norm(x, norm):
+    mean, variance = x.mean(-1, keepdim=True), x.var(-1, keepdim=True, unbiased=False)
+    return (x - mean) / torch.sqrt(variance + 1e-6) * norm.weight + norm.bias
+
+
+def attention_by_hand(block, query, context, visible=None):
+    """One head after the other, one query after the other."""
+    q, kv = layer_norm(query, block.layer_norm), layer_norm(context, block.layer_norm)
+    heads = []
+    for h in range(3):
+        wq, wk = (w.weight[10 * h : 10 * h + 10] for w in (block.w_qs, block.w_ks))
+        wv = block.w_vs.weight[6 * h : 6 * h + 6]
+        rows = []
+        for i in range(query.shape[1]):
+            score = torch.stack([(q[0, i] @ wq.T) @ (wk @ kv[0, j]) for j in range(context.shape[1])])
+            score = score / math.sqrt(10)
+            if visible is not None:
+                score[~visible[0]] = -torch.inf
+            rows.append(torch.exp(score) / torch.exp(score).sum() @ (kv[0] @ wv.T))
+        heads.append(torch.stack(rows))
+    return query + (torch.cat(heads, -1) @ block.fc.weight.T)[None]
+
+
+def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
+    block = MultiHeadAttention(SIZES).eval()
+    torch.nn.init.normal_(block.layer_norm.weight)
+    torch.nn.init.normal_(block.layer_norm.bias)
+    query, context = torch.randn(1, 3, 16), torch.randn(1, 5, 16)
+    torch.testing.assert_close(block(query, context), attention_by_hand(block, query, context))
+    visible = torch.tensor([[True, False, True, True, False]])
+    expected = attention_by_hand(block, query, context, visible)
+    torch.testing.assert_close(block(query, context, visible), expected)
+    torch.testing.assert_close(block(query, query), attention_by_hand(block, query, query))
+
+
+def test_feed_forward_normalises_before_or_after():
+    x = torch.randn(2, 3, 16)
+    for norm_first in (True, False):
+        block = FeedForward(16, 24, 0.3, norm_first=norm_first).eval()
+        y = layer_norm(x, block.layer_norm) if norm_first else x
+        y = F.relu(y @ block.w_1.weight.T + block.w_1.bias) @ block.w_2.weight.T + block.w_2.bias + x
+        torch.testing.assert_close(block(x), y if norm_first else layer_norm(y, block.layer_norm))
+
+
+def test_position_table_is_sine_on_even_and_cosine_on_odd_dimensions():
+    table = sinusoid_table(9, 6)
+    for position in range(9):
+        for dimension in range(6):
+            angle = position / 10000 ** (2 * (dimension // 2) / 6)
+            wave = math.cos(angle) if dimension % 2 else math.sin(angle)
+            assert table[position, dimension] == pytest.approx(wave, abs=1e-6)
+
+
+def test_trajectory_encoder_uses_one_layer_norm_three_times():
+    encoder = TrajectoryEncoder(7, 30, SIZES).eval()
+    torch.nn.init.normal_(encoder.layer_norm.weight)
+    u = torch.rand(1, 4, 7)
+    x = layer_norm(encoder.to_embedding(u), encoder.layer_norm)
+    x = layer_norm(x + sinusoid_table(30, 16)[:4], encoder.layer_norm)
+    for layer in encoder.layer_stack:
+        x = attention_by_hand(layer.slf_attn, x, x)
+        x = layer.pos_ffn(x)
+    torch.testing.assert_close(encoder(u), layer_norm(x, encoder.layer_norm))
+    with pytest.raises(InvalidInputError, match="31 waypoints"):
+        encoder(torch.rand(1, 31, 7))
+
+
+def test_quantizer_takes_the_nearest_code_by_cosine_and_keeps_codes_unit():
+    quantizer = Quantizer(12, 8, 16)
+    torch.testing.assert_close(quantizer.embedding.weight.norm(dim=1), torch.ones(12))
+    with torch.no_grad():
+        quantizer.embedding.weight *= torch.rand(12, 1) + 0.5
+    latent = torch.randn(2, 5, 16)
+    output = quantizer(latent)
+    codes = quantizer.embedding.weight.detach()
+    torch.testing.assert_close(codes.norm(dim=1), torch.ones(12))
+    z = (latent @ quantizer.input_linear_map.weight.T + quantizer.input_linear_map.bias).detach()
+    for b in range(2):
+        for t in range(5):
+            cosine = [float(z[b, t] @ code / z[b, t].norm()) for code in codes]
+            assert output.codes[b, t] == int(np.argmax(cosine))
+    torch.testing.assert_close(output.quantized, quantizer.lookup(output.codes))
+
+
+def test_straight_through_gradient_reaches_the_encoder_and_the_code():
+    quantizer = Quantizer(12, 8, 16)
+    latent = torch.randn(1, 1, 16, requires_grad=True)
+    output = quantizer(latent)
+    weight = torch.randn(16)
+    (output.quantized @ weight).sum().backward()
+    at_code = weight @ quantizer.output_linear_map.weight
+    expected = torch.zeros(12, 8)
+    expected[output.codes[0, 0]] = at_code
+    torch.testing.assert_close(quantizer.embedding.weight.grad, expected)
+    other = latent.detach().requires_grad_()
+    F.normalize(quantizer.input_linear_map(other), dim=-1).backward(at_code[None, None])
+    torch.testing.assert_close(latent.grad, other.grad)
+
+
+def test_codes_restart_on_data():
+    quantizer = Quantizer(12, 8, 16)
+    latents = torch.randn(40, 16)
+    dead = torch.arange(12) < 5
+    before = quantizer.embedding.weight.detach().clone()
+    assert quantizer.restart_codes(dead, latents, torch.Generator().manual_seed(1)) == 5
+    after = quantizer.embedding.weight.detach()
+    torch.testing.assert_close(after[5:], before[5:])
+    cosines = after[:5] @ quantizer.project(latents).T
+    torch.testing.assert_close(cosines.max(dim=1).values, torch.ones(5))
+    assert len(set(cosines.argmax(dim=1).tolist())) == 5
+    assert quantizer.restart_codes(torch.zeros(12, dtype=torch.bool), latents) == 0
+    with pytest.raises(InvalidInputError, match="0 latents"):
+        quantizer.restart_codes(dead, latents[:0])
+
+
+def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
+    decoder = GaussianDecoder(16, 24, 7, 0.5).eval()
+    latent = torch.randn(3, 16)
+    gaussians = decoder(latent)
+    hidden = decoder.pos_ffn(latent)
+    for i in range(3):
+        lower, entries = torch.eye(7), iter(decoder.l[0](hidden[i]))
+        for row in range(7):
+            for column in range(row):
+                lower[row, column] = next(entries)
+        d = torch.log1p(torch.exp(decoder.diag[0](hidden[i])))
+        sigma = lower @ torch.diag(d) @ lower.T
+        torch.testing.assert_close(gaussians.covariance[i], sigma)
+        mean = (torch.tanh(decoder.mu[0](hidden[i])) + 1) / 2
+        torch.testing.assert_close(gaussians.mean[i], mean)
+        u = torch.rand(7)
+        reference = torch.distributions.MultivariateNormal(mean, sigma)
+        torch.testing.assert_close(gaussians.log_prob(u)[i], reference.log_prob(u), rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(gaussians.entropy()[i], reference.entropy())
+
+
+def test_stage1_loss_masks_padding():
+    dictionary = Dictionary(SMALL).eval()
+    u, visible = torch.rand(2, 6, 7), torch.ones(2, 6, dtype=torch.bool)
+    visible[1, 4:] = False
+    with torch.no_grad():
+        output = dictionary(u)
+    loss = stage1_loss(output, u, visible, commitment=0.25)
+    log_prob, entropies = output.gaussians.log_prob(u), output.gaussians.entropy()
+    seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
+    nll, entropy = -sum(float(log_prob[at]) for at in seen), sum(float(entropies[at]) for at in seen)
+    assert float(loss.negative_log_likelihood) == pytest.approx(nll / 2, rel=1e-5)
+    assert float(loss.negative_entropy) == pytest.approx(-entropy / 2, rel=1e-5)
+    distance = (output.quantized.latent - output.quantized.quantized).square().sum(-1)
+    assert float(loss.quantization) == pytest.approx(1.25 * float(distance[visible].mean()), rel=1e-5)
+    expected = (nll - 0.1 * entropy) / 2 + float(loss.quantization)
+    assert float(loss.total) == pytest.approx(expected, rel=1e-5)
+
+
+def test_quantization_loss_stops_the_gradients_it_should():
+    z, z_q = (torch.randn(1, 2, 4, requires_grad=True) for _ in range(2))
+    quantization_loss(Quantized(z, z_q, torch.zeros(1, 2)), torch.ones(1, 2).bool(), 0.25).backward()
+    torch.testing.assert_close(z.grad, 0.25 * (z - z_q).detach())
+    torch.testing.assert_close(z_q.grad, (z_q - z).detach())
+
+
+def test_dictionary_decodes_what_it_encodes():
+    dictionary = Dictionary(SMALL).eval()
+    u = torch.rand(2, 6, 7)
+    output = dictionary(u)
+    assert torch.equal(dictionary.encode(u), output.quantized.codes)
+    torch.testing.assert_close(dictionary.code_gaussians(output.quantized.codes).mean, output.gaussians.mean)
+    assert dictionary.code_gaussians().mean.shape == (12, 7)
+    z = torch.randn(3, 8, requires_grad=True)
+    dictionary.decode(z).covariance.sum().backward()
+    assert z.grad.abs().sum() > 0
+
+
+def test_every_stage1_parameter_gets_a_gradient():
+    dictionary = Dictionary(SMALL)
+    u = torch.rand(2, 6, 7)
+    stage1_loss(dictionary(u), u, torch.ones(2, 6, dtype=torch.bool), 0.25).total.backward()
+    assert not [name for name, p in dictionary.named_parameters() if p.grad is None]
+
+
+@pytest.fixture
+def sequence_model():
+    return PublishedSequenceModel(SMALL).eval()
+
+
+def test_prefix_logits_see_only_the_prefix_and_no_order(sequence_model):
+    quantizer = Dictionary(SMALL).quantizer
+    scene = sequence_model.encode_scene([torch.rand(20, 3)])
+    context = sequence_model.encode_context(scene, torch.rand(2, 7), torch.rand(2, 7))
+    assert context.shape == (2, 2, 16)
+    codes = torch.tensor([[1, 2, 3], [4, 5, 6]])
+    padded = sequence_model.prefix_logits(context, codes, quantizer, torch.tensor([2, 3]))
+    assert padded.shape == (2, 14)
+    alone = sequence_model.prefix_logits(context[:1], codes[:1, :2], quantizer)
+    torch.testing.assert_close(padded[:1], alone)
+    full = sequence_model.prefix_logits(context[1:], codes[1:], quantizer)
+    torch.testing.assert_close(padded[1:], full)
+    swapped = sequence_model.prefix_logits(context[1:], torch.tensor([[5, 4, 6]]), quantizer)
+    torch.testing.assert_close(full, swapped)  # no position code
+    start = sequence_model.prefix_logits(context, codes[:, :0], quantizer)
+    tokens = torch.cat((context, torch.full((2, 1, 16), -1.0)), 1)
+    torch.testing.assert_close(start, sequence_model.autoregressive(tokens, torch.tensor([2, 2])))
+
+
+def test_context_tokens_ignore_each_other_and_padding(sequence_model):
+    clouds = [torch.rand(20, 3), torch.rand(12, 3)]
+    scene = sequence_model.encode_scene(clouds)
+    assert scene.tokens.shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
+    assert scene.visible.sum(1).tolist() == [12, 7]
+    start, goal = torch.rand(4, 7), torch.rand(4, 7)
+    together = sequence_model.encode_context(scene, start, goal)
+    for row, cloud in enumerate((clouds[0], clouds[0], clouds[1], clouds[1])):
+        alone = sequence_model.encode_context(
+            sequence_model.encode_scene([cloud]), start[row : row + 1], goal[row : row + 1]
+        )
+        torch.testing.assert_close(together[row : row + 1], alone)
+    other_goal = sequence_model.encode_context(scene, start, torch.rand(4, 7))
+    torch.testing.assert_close(other_goal[:, 0], together[:, 0])
+    assert not torch.allclose(other_goal[:, 1], together[:, 1])
+
+
+@pytest.mark.parametrize("scoring", ["log-probability", "published"])
+def test_beam_search_scores_what_the_model_says(sequence_model, scoring):
+    dictionary = Dictionary(SMALL).eval()
+    start, goal = torch.rand(2, 7), torch.rand(2, 7)
+    with torch.no_grad():
+        scene = sequence_model.encode_scene([torch.rand(20, 3)])
+        context = sequence_model.encode_context(scene, start, goal)
+        decoder = sequence_model.decoder(dictionary, scene, start, goal)
+        found = beam_search(decoder, max_length=9, scoring=scoring)
+        for row, sequence in enumerate(found):
+            expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
+            for i, code in enumerate(path):
+                prefix = torch.tensor([path[:i]], dtype=torch.int64)
+                logits = sequence_model.prefix_logits(context[row : row + 1], prefix, dictionary.quantizer)
+                expected += float(logits.log_softmax(1)[0, code])
+            assert sequence.log_probability == pytest.approx(expected, abs=1e-4)
+
+
+def test_prefix_samples():
+    samples = prefix_samples(torch.tensor([4, 2, 7]), 13)
+    assert samples.lengths.tolist() == [0, 1, 2, 3]
+    assert samples.targets.tolist() == [4, 2, 7, 13]
+    assert samples.codes.tolist() == [[4, 2, 7]] * 4
+    assert [len(prefix_samples(torch.arange(n), 999).targets) for n in (39, 40, 41, 78, 79, 399)] == [
+        40, 40, 40, 40, 40, 40,
+    ]  # fmt: skip
+
+
+def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
+    logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
+    visible = torch.tensor([[True, True, True], [True, True, False]])
+    picked = [logits[b, p].log_softmax(0)[targets[b, p]] for b in range(2) for p in range(3) if visible[b, p]]
+    torch.testing.assert_close(
+        sequence_loss(logits[visible], targets[visible], 2), -torch.stack(picked).sum() / 2
+    )
+
+
+@pytest.mark.parametrize("config", [SMALL, ModelConfig(), ModelConfig.compact(feature_dim=24)])
+def test_config_survives_json(config):
+    assert from_plain(ModelConfig, json.loads(json.dumps(to_plain(config)))) == config
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("kind",), "tiny", "unknown model.kind 'tiny'; valid choices: published, compact"),
+        (("joint_dim",), "7", "model.joint_dim is '7'; it must be int"),
+        (("joint_dim",), -7, "cannot be negative"),
+        (("joint_dim",), 0, "joint_dim is 0; give 1 to 65536"),
+        (("dictionary", "n_position"), 10**12, r"n_position is 1000000000000; give 1 to 65536"),
+        (("dictionary", "n_position"), 10**400, r"n_position is 1000\S+; give 1 to 65536"),
+        (("sequence", "transformer", "n_layers"), 10**6, r"n_layers is 1000000; give 1 to 64"),
+        (("sequence", "transformer", "dropout"), 1.5, r"dropout is 1\.5; give 0 or more, and less than 1"),
+        (("point_cloud", "sa1", "radius"), -0.2, "give a positive radius"),
+        (("speed",), 3, "model.speed is unknown"),
+        (("dictionary", "n_codes"), None, "model.dictionary.n_codes is None"),
+        (("point_cloud", "sa1", "widths"), [3], "must be a list of 2"),
+        (("point_cloud", "sa1", "ratio"), 1.5, "a ratio of at most 1"),
+        (("sequence",), None, "has no sequence model; use kind 'published'"),
+        (("point_cloud",), 3, "must be an object"),
+        (("feature_dim",), 24, "kind 'published' has no feature_dim"),
+        (("sequence", "transformer", "d_model"), 8, "one latent width"),
+    ],
+)
+def test_config_names_the_wrong_field(path, value, message):
+    data = to_plain(ModelConfig(), complete=True)
+    inner = data
+    for name in path[:-1]:
+        inner = inner[name]
+    inner[path[-1]] = value
+    with pytest.raises(CvqmptError, match=message):
+        from_plain(ModelConfig, data, "model", complete=True)
+
+
+def test_compact_refuses_a_sequence_model():
+    with pytest.raises(InvalidInputError, match="kind 'compact' has no point_cloud and no sequence"):
+        dataclasses.replace(ModelConfig(), kind="compact")
