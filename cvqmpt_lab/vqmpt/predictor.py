@@ -146,7 +146,7 @@ class Predictor:
     """A trained VQ-MPT model of kind "published" at work for one robot, on the CPU."""
 
     def __init__(self, model: StoredModel, robot: Robot, settings: PredictorSettings | None = None) -> None:
-        """Take over a model's weights; `vqmpt.weights.load_vq_mpt` reads them.
+        """Take over a model's weights; `load_vq_mpt` reads them.
 
         Raises
         ------
