@@ -12,8 +12,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from cvqmpt_lab.prediction.weights import SHIPPED
 from cvqmpt_lab.robot.named import ARMS
+from cvqmpt_lab.vqmpt.weights import SHIPPED
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
