@@ -12,7 +12,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from experiments.everything import Part, parts
 from experiments.figures.run_figure import FigureRequest, reproduce_figure
-from experiments.run import default_jobs, run_experiment
+from experiments.run import default_jobs, executor_for, run_experiment
 from experiments.warmup import compile_kernels
 from paper_tables.render import render_directory
 
@@ -45,7 +45,8 @@ def reproduce_all(args: argparse.Namespace) -> int:
 
 def _run(part: Part, folder: Path, jobs: int) -> None:
     command = [*part.command, "--jobs", str(jobs), "--out", str(folder)]
-    run_experiment(part.experiment, folder, jobs, command, ProgressBar(part.folder))
+    with executor_for(part.experiment, jobs) as executor:
+        run_experiment(part.experiment, folder, executor, command, ProgressBar(part.folder))
     render_directory(folder)
 
 

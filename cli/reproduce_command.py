@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 
 from cli.options import ProgressBar, add_model, positive_int
@@ -10,9 +9,8 @@ from cli.planner_options import add_budget, add_optimize, budget, optimize_budge
 from cli.reproduce_all import reproduce_all
 from cli.table_command import show_tables
 from cvqmpt_lab.methods.table import PLANNERS
-from experiments.cluster import dask_cluster
 from experiments.everything import PROFILES
-from experiments.run import Experiment, default_jobs, run_experiment
+from experiments.run import Experiment, default_jobs, executor_for, run_experiment
 from experiments.suites.table import SUITES, suite_named
 from experiments.warmup import compile_kernels
 
@@ -70,9 +68,7 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or Path("runs") / suite.name
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
     command = ["cvqmpt", *sys.argv[1:]]
-    cluster = dask_cluster(args.dask, experiment) if args.dask else nullcontext()
-    with cluster as crew:
-        jobs = crew.size if crew else args.jobs or default_jobs()
-        run_experiment(experiment, out, jobs, command, ProgressBar(suite.name), crew)
+    with executor_for(experiment, args.jobs or default_jobs(), args.dask) as executor:
+        run_experiment(experiment, out, executor, command, ProgressBar(suite.name))
     show_tables(out)
     return 0

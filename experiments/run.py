@@ -1,13 +1,12 @@
 """Running planners over a suite: side by side, resumable, every outcome one row or more."""
 
+import hashlib
 import math
 import os
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
@@ -21,13 +20,14 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.tasks.task import Task
-from experiments.crew import Crew, processes
+from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.rows import Item, Outcome, Run, failed_rows, outcome_of
 from experiments.suites.table import suite_named
 from experiments.warmup import compile_kernels
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 """What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""
+PACKAGES = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,8 @@ class Experiment:
     seeds: tuple[int, ...]
     budget: Budget
     backend: str = "compiled"
-    model: str | None = None
-    """Weights in place of the shipped ones, of planners that use any."""
-    optimize: Budget | None = None
-    """What is spent on a better path once there is one."""
+    model: str | None = None  # weights in place of the shipped ones, of planners that use any
+    optimize: Budget | None = None  # spent on a better path once there is one
 
     def __post_init__(self) -> None:
         suite = suite_named(self.suite)
@@ -73,7 +71,7 @@ class Experiment:
     @property
     def limit_s(self) -> float:
         """Time [s] without an answer after which a run is given up: far more than any takes that is alive."""
-        return SPARE_S + TIMES * sum(_most(budget) for budget in (self.budget, self.optimize) if budget)
+        return SPARE_S + TIMES * sum(_longest(budget) for budget in (self.budget, self.optimize) if budget)
 
     def settings(self) -> dict[str, object]:
         """What must be equal for a run to be continued: everything that changes a row."""
@@ -87,46 +85,52 @@ class Experiment:
         }
 
 
-def _most(budget: Budget) -> float:
-    """Time [s] that it allows."""
+def _longest(budget: Budget) -> float:
+    """Time [s] that a budget allows."""
     by_count = math.inf if budget.iterations is None else ITERATION_S * budget.iterations
     return by_count if budget.seconds is None else min(budget.seconds, by_count)
+
+
+def executor_for(
+    experiment: Experiment, jobs: int, dask: str | None = None
+) -> AbstractContextManager[Executor]:
+    """So many processes on this machine, or the Dask cluster at an address, which must have our code and weights."""
+    if jobs < 1:
+        raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
+    if dask is not None:
+        return dask_cluster(dask, experiment.limit_s, partial(_installed, experiment))
+    return local_processes(jobs, experiment.limit_s)
 
 
 def run_experiment(
     experiment: Experiment,
     out: Path,
-    jobs: int,
+    executor: Executor,
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
-    crew: Crew | None = None,
 ) -> list[ResultRow]:
     """Run what is not yet in `out` and return all rows, sorted.
 
-    An interrupt keeps every finished run; the same call continues.
+    An interrupt keeps every finished run; the same call continues. The executor changes no row.
 
-    Parameters
-    ----------
-    on_progress
-        Called with (runs done, runs in all, a note on the last one).
-    crew
-        Who carries out the runs, in place of so many `jobs` (processes) on this machine; rows are the same.
+    on_progress: called with (runs done, runs in all, a note on the last one).
     """
-    if jobs < 1:
-        raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
-    session = provenance(command, experiment.seeds, weights_of(experiment.planners, experiment.model), jobs)
+    session = provenance(
+        command, experiment.seeds, weights_of(experiment.planners, experiment.model), executor.size
+    )
     with RunStore.open(out, experiment.settings(), session) as store:
         runs, done = experiment.runs, store.done()
         left = [run for run in runs if run.key not in done]
-        on_progress(len(runs) - len(left), len(runs), "")
-        if not left:
-            return store.rows()
-        with nullcontext(crew) if crew else processes(min(jobs, len(left)), experiment.limit_s) as workers:
-            for finished, (run, outcome) in enumerate(_outcomes(left, workers), len(runs) - len(left) + 1):
-                store.append(outcome.rows, outcome.paths)
-                failed = next((row for row in outcome.rows if not row.solved), None)
-                note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
-                on_progress(finished, len(runs), f"{run.planner} {note}")
+        finished = len(runs) - len(left)
+        on_progress(finished, len(runs), "")
+        one_run_a_planner = tuple({run.planner: run for run in left}.values())
+        for run, result in executor.results(partial(_run_in_worker, one_run_a_planner), left):
+            outcome = _lost(run, result) if isinstance(result, Lost) else result
+            store.append(outcome.rows, outcome.paths)
+            failed = next((row for row in outcome.rows if not row.solved), None)
+            note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
+            finished += 1
+            on_progress(finished, len(runs), f"{run.planner} {note}")
         return store.rows()
 
 
@@ -155,35 +159,23 @@ def default_jobs() -> int:
     return os.cpu_count() or 1
 
 
-def _outcomes(runs: Sequence[Run], crew: Crew) -> Iterator[tuple[Run, Outcome]]:
-    """What came of every run, as it comes in; few are handed over at a time, so that an interrupt is quick."""
-    queue, flying = deque(runs), dict[Future, Run]()
-    setup = tuple({run.planner: run for run in runs}.values())
-    while queue or flying:
-        while queue and len(flying) < 2 * crew.size:
-            run = queue.popleft()
-            flying[crew.executor.submit(_run_warm, run, setup)] = run
-        for future in wait(flying, return_when=FIRST_COMPLETED).done:
-            run = flying.pop(future)
-            yield run, _outcome(future, run, crew)
+def _installed(experiment: Experiment) -> dict[str, object]:
+    """What decides rows on a machine: digests of the sources and of the planners' weights."""
+    digest = hashlib.sha256()
+    for package in ("cvqmpt_lab", "experiments"):
+        for path in sorted((PACKAGES / package).rglob("*.py")):
+            digest.update(f"{path.relative_to(PACKAGES)}".encode() + path.read_bytes())
+    return {"sources": digest.hexdigest(), "weights": weights_of(experiment.planners, experiment.model)}
 
 
-def _outcome(future: Future, run: Run, crew: Crew) -> Outcome:
-    """What a run returned; a row of failure where it was lost."""
-    try:
-        return future.result()
-    except tuple(crew.losses) as error:
-        reason = next(reason for kind, reason in crew.losses.items() if isinstance(error, kind))
-        return Outcome(failed_rows(run, suite_named(run.suite).item(run.item), reason, str(error)))
-    except CancelledError as error:
-        raise CvqmptError(
-            "whoever carried out the runs has left; what was finished is kept, the same command continues"
-        ) from error
+def _lost(run: Run, lost: Lost) -> Outcome:
+    """The failure rows of a run that has no result."""
+    return Outcome(failed_rows(run, suite_named(run.suite).item(run.item), lost.reason, lost.detail))
 
 
-def _run_warm(run: Run, setup: tuple[Run, ...]) -> Outcome:
-    """What comes of a run, in a worker that is ready for all planners; a fault of ours costs that run alone."""
-    _warm_up(setup)
+def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
+    """What comes of a run; an error that is no user's costs that run alone."""
+    _warm_up(one_run_a_planner)
     item, seconds = _item(run.suite, run.item)
     try:
         return outcome_of(run, item, seconds)
@@ -195,10 +187,10 @@ def _run_warm(run: Run, setup: tuple[Run, ...]) -> Outcome:
 
 
 @lru_cache(maxsize=1)
-def _warm_up(setup: tuple[Run, ...]) -> None:
+def _warm_up(runs: tuple[Run, ...]) -> None:
     """Load compiled code and planner libraries once a process, by short runs, so that no row pays for it."""
     compile_kernels(lambda _: None)
-    for run in setup:
+    for run in runs:
         item, seconds = _item(run.suite, run.item)
         budget = Budget(seconds=5.0, iterations=None if isinstance(item, Task) else 1)
         outcome_of(replace(run, budget=budget), item, seconds)

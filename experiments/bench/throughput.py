@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,8 @@ from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.rehearsal import rehearse
 from experiments.bench.timing import Figure, calibration, single
+from experiments.executors import local_processes
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
-from experiments.workers import WorkerPool
 
 ENOUGH = Budget(iterations=20_000)
 METHODS = ("birrt", "roadmap-cvq", "opt-cvq-mpt")
@@ -42,8 +43,8 @@ def bench_throughput(problems: int) -> list[Figure]:
     for name in METHODS:
         for workers in (count for count in WORKERS if count <= len(environments)):
             parts = [environments[first::workers] for first in range(workers)]
-            with WorkerPool(workers) as pool:
-                shares = list(pool.map(_work, [name] * workers, parts))
+            with local_processes(workers) as executor:
+                shares = [share for _, share in executor.results(partial(_work, name), parts)]
             certified = sum(share.certified for share in shares)
             label = f"{name}, {workers} worker{'s' * (workers > 1)}"
             figures += [

@@ -8,7 +8,6 @@ start at FIRST_SCENE: the scenes of evaluation suites have smaller ones.
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings
 from cvqmpt_lab.results.provenance import provenance
@@ -33,9 +32,9 @@ from cvqmpt_lab.training.shards import (
     write_shard,
 )
 from cvqmpt_lab.vqmpt.inputs import SerialChain
+from experiments.executors import Lost, local_processes
 from experiments.labels.dataset_card import dataset_card
 from experiments.labels.labelled_scenes import labelled_scene, shard_arrays
-from experiments.workers import WorkerPool
 
 FIRST_SCENE = 10_000_000
 SCENES_PER_SEED = 1_000_000
@@ -135,17 +134,14 @@ def generate(
         count = -(-recipe.scenes // SCENES_PER_SHARD)
         done = {row.shard: row for row in finished_shards(out)}
         on_progress(len(done), count)
-        with WorkerPool(jobs) as pool:
-            futures = {pool.submit(recipe.shard, k): k for k in range(count) if k not in done}
-            try:
-                for future in as_completed(futures):
-                    shard = future.result()
-                    done[shard.row.shard] = shard.row
-                    write_shard(out, shard, done.values())
-                    on_progress(len(done), count)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        left = [k for k in range(count) if k not in done]
+        with local_processes(jobs) as executor:
+            for k, shard in executor.results(recipe.shard, left):
+                if isinstance(shard, Lost):
+                    raise CvqmptError(f"shard {k}: {shard.detail}; what was finished is kept")
+                done[shard.row.shard] = shard.row
+                write_shard(out, shard, done.values())
+                on_progress(len(done), count)
         write_text(out / "README.md", recipe.card(out))
     return sum(row.paths for row in done.values())
 

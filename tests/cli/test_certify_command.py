@@ -21,7 +21,7 @@ from cvqmpt_lab.scene.shapes import Cylinder
 from cvqmpt_lab.tasks.goals import phase_problems
 from cvqmpt_lab.trajectory.export import as_csv, as_ros_json
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from experiments.run import Experiment, run_experiment
+from experiments.run import Experiment, executor_for, run_experiment
 from experiments.suites.place_task import DOOR
 
 MIDDLE = 40
@@ -300,7 +300,8 @@ def test_a_pipe_or_a_device_is_no_motion(tmp_path, capsys):
 
 def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):
     experiment = Experiment("place-task", (2, 10), ("birrt",), (0,), Budget(iterations=20_000))
-    run_experiment(experiment, tmp_path, 1, ["test"], lambda *_: None)
+    with executor_for(experiment, 1) as executor:
+        run_experiment(experiment, tmp_path, executor, ["test"], lambda *_: None)
     assert main(["certify", str(tmp_path)]) == 0
     assert capsys.readouterr().out == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
 

@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+import pebble
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
@@ -20,12 +20,13 @@ from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.vqmpt.weights import resolve_model, weights_digest
 from experiments import run as runner
-from experiments.run import Experiment, models_of, run_experiment, weights_of
+from experiments.run import Experiment, executor_for, models_of, run_experiment, weights_of
 from experiments.warmup import compile_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 ENOUGH = Budget(iterations=20_000)
-FOUR = Experiment("place-task", (2, 10), ("birrt", "guided-birrt"), (0,), ENOUGH)  # four tasks
+ONE = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)
+FOUR = replace(ONE, problems=(2, 10), planners=("birrt", "guided-birrt"))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -34,17 +35,14 @@ def compiled():
     compile_kernels(lambda _: None)
 
 
-def ignore(done, total, note):
-    pass
-
-
-def run(experiment, out, jobs=1, on_progress=ignore):
-    return run_experiment(experiment, out, jobs, ["test"], on_progress)
+def run(experiment, out, jobs=1, on_progress=lambda *_: None):
+    with executor_for(experiment, jobs) as executor:
+        return run_experiment(experiment, out, executor, ["test"], on_progress)
 
 
 def untimed(rows):
     """Rows without their times."""
-    return [{k: v for k, v in asdict(row).items() if not (k.startswith("t_"))} for row in rows]
+    return [{k: v for k, v in asdict(row).items() if not k.startswith("t_")} for row in rows]
 
 
 def keys(rows):
@@ -56,13 +54,10 @@ def four_rows(tmp_path_factory):
     return run(FOUR, tmp_path_factory.mktemp("four"))
 
 
-def test_rows_are_sorted_and_complete(four_rows):
+def test_rows_are_sorted_complete_and_those_of_two_processes(four_rows, tmp_path):
     assert keys(four_rows) == [(p, n, 0) for p in ("2", "10") for n in ("birrt", "guided-birrt")]
     assert four_rows == sorted_rows(four_rows)
     assert all(row.solved and row.certified and row.path_sha256 for row in four_rows)
-
-
-def test_two_processes_make_the_rows_that_one_makes(four_rows, tmp_path):
     assert untimed(run(FOUR, tmp_path, jobs=2)) == untimed(four_rows)
 
 
@@ -89,110 +84,66 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
     assert run(FOUR, tmp_path) == rows and (tmp_path / RUNS_FILE).read_bytes() == before
 
 
-def test_a_larger_experiment_adds_to_the_rows(tmp_path):
-    small = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)
-    first = run(small, tmp_path)
-    both = run(Experiment("place-task", (2,), ("birrt",), (0, 1), ENOUGH), tmp_path)
+def test_a_larger_experiment_adds_to_the_rows_and_another_budget_is_refused(tmp_path):
+    first = run(ONE, tmp_path)
+    both = run(replace(ONE, seeds=(0, 1)), tmp_path)
     assert len(first) == 1 and both[0] == first[0] and keys(both) == [("2", "birrt", 0), ("2", "birrt", 1)]
-
-
-def test_another_budget_is_refused_by_name_and_nothing_is_lost(tmp_path):
-    rows = run(Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH), tmp_path)
     with pytest.raises(RunStoreError, match=r"iterations was 20000, now 7.*another --out"):
-        run(Experiment("place-task", (2,), ("birrt",), (0,), Budget(iterations=7)), tmp_path)
-    assert read_rows(tmp_path / RUNS_FILE) == rows
+        run(replace(ONE, budget=Budget(iterations=7)), tmp_path)
+    assert read_rows(tmp_path / RUNS_FILE) == both
 
 
 def test_failures_are_rows_with_a_reason(tmp_path):
-    (row,) = run(Experiment("place-task", (5,), ("birrt",), (0,), Budget(iterations=1)), tmp_path)
+    (row,) = run(replace(ONE, problems=(5,), budget=Budget(iterations=1)), tmp_path)
     assert (row.solved, row.fail_reason) == (False, "iteration_limit")
     assert row.path_sha256 is None and row.path_length_rad is None and row.n_iterations == 1
 
 
-def dies_on(problem, always=True):
-    """`outcome_of` that kills its worker on a problem, or only the first time."""
-    real, once = runner.outcome_of, Path(tempfile.mkdtemp()) / "died"
+def in_place_of_planning(item):
+    """What happens to the worker of a run on an item."""
+    if item == 10:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if item == 15:
+        os.kill(os.getpid(), signal.SIGSTOP)
+    if item == 20:
+        np.empty(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), np.uint8)
+    if item == 25:
+        raise ZeroDivisionError("by nothing")
+
+
+def test_a_run_that_is_lost_is_a_failure_row_and_costs_no_other_run(tmp_path, monkeypatch):
+    plan = runner.outcome_of
 
     def outcome_of(run, item, seconds):
-        if run.item == problem and run.budget == ENOUGH and (always or not once.exists()):
-            once.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return real(run, item, seconds)
-
-    return outcome_of
-
-
-def test_a_fault_of_ours_costs_its_own_run_only_and_stands_in_the_table(tmp_path, monkeypatch):
-    real = runner.outcome_of
-
-    def outcome_of(run, item, seconds):
-        return real(run, item, seconds / (run.item - 10 if run.budget == ENOUGH else 1))
+        if run.budget == ENOUGH:  # and not that of the warm-up
+            in_place_of_planning(run.item)
+        return plan(run, item, seconds)
 
     monkeypatch.setattr(runner, "outcome_of", outcome_of)
-    rows = run(Experiment("place-task", (10, 15), ("birrt",), (0,), ENOUGH), tmp_path)
-    assert [(row.problem, row.fail_reason) for row in rows] == [("10", "planner_error"), ("15", None)]
-    assert rows[0].detail.startswith("ZeroDivisionError: ")
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_worker_that_dies_costs_its_own_run_only(tmp_path, monkeypatch, jobs):
-    monkeypatch.setattr(runner, "outcome_of", dies_on(10))
-    three = Experiment("place-task", (2, 10, 5), ("birrt",), (0,), ENOUGH)
-    rows = run(three, tmp_path, jobs=jobs)
+    monkeypatch.setattr(Experiment, "limit_s", 4.0)
+    monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
+    six = replace(ONE, problems=(2, 10, 15, 20, 25, 5))
+    rows = run(six, tmp_path, jobs=2)
     assert [(row.problem, row.fail_reason) for row in rows] == [
         ("2", None),
         ("5", None),
         ("10", "worker_died"),
+        ("15", "worker_hung"),
+        ("20", "out_of_memory"),
+        ("25", "planner_error"),
     ]
-    assert run(three, tmp_path) == rows, "what killed a worker is not tried again"
-
-
-def test_a_worker_that_hangs_is_ended_and_costs_its_own_run_only(tmp_path, monkeypatch):
-    real, limit = runner.outcome_of, 15.0
-
-    def outcome_of(run, item, seconds):
-        if run.item == 10 and run.budget == ENOUGH:
-            (tmp_path / "pid").write_text(str(os.getpid()))
-            os.kill(os.getpid(), signal.SIGSTOP)  # does not even hear SIGTERM
-        return real(run, item, seconds)
-
-    monkeypatch.setattr(runner, "outcome_of", outcome_of)
-    monkeypatch.setattr(Experiment, "limit_s", limit)
-    rows = run(Experiment("place-task", (2, 10, 5), ("birrt",), (0,), ENOUGH), tmp_path / "out")
-    assert [(row.problem, row.fail_reason) for row in rows] == [
-        ("2", None),
-        ("5", None),
-        ("10", "worker_hung"),
-    ]
-    assert rows[2].detail == "no answer in 15 s; its process was ended"
-    assert not Path("/proc", (tmp_path / "pid").read_text()).exists()
+    told = ("SIGKILL; perhaps memory ran out, twice", "in 4 s; its process was ended", "Unable to allocate")
+    assert all(words in row.detail for words, row in zip(told, rows[2:], strict=False))
+    assert rows[5].detail == "ZeroDivisionError: by nothing"
+    assert run(six, tmp_path) == rows, "what killed a worker is not tried again"
 
 
 def test_a_run_may_take_far_longer_than_its_budget_before_it_counts_as_hung():
     def limit(**budget):
-        return Experiment("place-task", (2,), ("birrt",), (0,), Budget(**budget)).limit_s
+        return replace(ONE, budget=Budget(**budget)).limit_s
 
     assert limit(seconds=10.0) == 600.0
     assert limit(seconds=10.0, iterations=100) == limit(iterations=100) < limit(iterations=10**6)
-
-
-def test_a_run_that_asks_for_more_memory_than_there_is_costs_itself_only(tmp_path, monkeypatch):
-    real, memory = runner.outcome_of, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-    def outcome_of(run, item, seconds):
-        if run.item == 10 and run.budget == ENOUGH:
-            np.empty(memory, np.uint8)
-        return real(run, item, seconds)
-
-    monkeypatch.setattr(runner, "outcome_of", outcome_of)
-    rows = run(Experiment("place-task", (10, 2), ("birrt",), (0,), ENOUGH), tmp_path)
-    assert [(row.problem, row.fail_reason) for row in rows] == [("2", None), ("10", "out_of_memory")]
-    assert "Unable to allocate" in rows[1].detail
-
-
-def test_a_worker_that_something_else_killed_costs_nothing(four_rows, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "outcome_of", dies_on(2, always=False))
-    assert untimed(run(FOUR, tmp_path, jobs=2)) == untimed(four_rows)
 
 
 def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
@@ -215,28 +166,7 @@ def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
 )
 def test_bad_experiments_are_refused_by_name(values, error, words):
     with pytest.raises(error, match=words):
-        Experiment(
-            **{
-                **{f: getattr(FOUR, f) for f in ("suite", "problems", "planners", "seeds", "budget")},
-                **values,
-            }
-        )
-
-
-def command(out):
-    task = ["reproduce", "place-task", "--problems", "4", "--planners", "birrt", "--seeds", "30"]
-    return [
-        sys.executable,
-        "-m",
-        "cli.main",
-        *task,
-        "--iterations",
-        "20000",
-        "--jobs",
-        "2",
-        "--out",
-        str(out),
-    ]
+        replace(FOUR, **values)
 
 
 def wait_for_rows(process, out, count):
@@ -262,12 +192,13 @@ def processes_of_session(session):
     return alive
 
 
-@pytest.fixture
-def started(tmp_path):
-    """A run in a session of its own, of which two rows are on disk; nothing of it is left afterwards."""
+@pytest.mark.slow
+def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues(tmp_path):
+    words = "reproduce place-task --problems 4 --planners birrt --seeds 30 --iterations 20000 --jobs 2"
+    task = words.split()
     with (tmp_path / "stderr").open("w") as errors:
-        process = subprocess.Popen(
-            command(tmp_path / "out"),
+        started = subprocess.Popen(
+            [sys.executable, "-m", "cli.main", *task, "--out", str(tmp_path / "out")],
             cwd=ROOT,
             stderr=errors,
             stdout=subprocess.DEVNULL,
@@ -276,37 +207,26 @@ def started(tmp_path):
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
     try:
-        wait_for_rows(process, tmp_path / "out", 2)
-        yield process
+        wait_for_rows(started, tmp_path / "out", 2)
+        os.killpg(started.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
+        assert started.wait(timeout=30) == 130
+        deadline = time.monotonic() + 5
+        while processes_of_session(started.pid) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert processes_of_session(started.pid) == []
     finally:
-        for pid in processes_of_session(process.pid):
+        for pid in processes_of_session(started.pid):
             os.kill(pid, signal.SIGKILL)
-        process.wait()
-
-
-@pytest.mark.slow
-def test_an_interrupt_leaves_a_run_that_the_same_command_continues(tmp_path, started):
-    os.killpg(started.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
-    assert started.wait(timeout=30) == 130
-    errors = (tmp_path / "stderr").read_text()
-    assert errors.splitlines()[-1].startswith("cvqmpt: interrupted; what was finished is kept")
-    assert "Traceback" not in errors
+        started.wait()
+    told = (tmp_path / "stderr").read_text()
+    assert told.splitlines()[-1].startswith("cvqmpt: interrupted; what was finished is kept")
+    assert "Traceback" not in told
     kept = read_rows(tmp_path / "out" / RUNS_FILE)
     assert 2 <= len(kept) < 120 and len(set(keys(kept))) == len(kept)
     last = max(kept, key=lambda row: row.seed)
-    more = Experiment("place-task", (int(last.problem),), ("birrt",), (last.seed, 30), ENOUGH)
+    more = replace(ONE, problems=(int(last.problem),), seeds=(last.seed, 30))
     rows = run(more, tmp_path / "out")
     assert len(rows) == len(kept) + 1 and [row for row in rows if row in kept] == kept
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_leaves_no_worker_behind(started):
-    os.kill(started.pid, signal.SIGINT)
-    assert started.wait(timeout=30) == 130
-    deadline = time.monotonic() + 5
-    while processes_of_session(started.pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert processes_of_session(started.pid) == []
 
 
 def test_only_planners_that_need_weights_name_them():
@@ -318,7 +238,7 @@ def test_only_planners_that_need_weights_name_them():
 
 
 def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):
-    few = Experiment("place-task", (2,), ("roadmap-cvq",), (0,), ENOUGH)
+    few = replace(ONE, planners=("roadmap-cvq",))
     rows = run(few, tmp_path)
     recorded = ProvenanceFile(tmp_path).read()["weights"]
     assert recorded == weights_of(few.planners)

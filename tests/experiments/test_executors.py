@@ -1,0 +1,112 @@
+"""Executors: results and errors arrive where the call was made, and a lost process costs its own task only."""
+
+import math
+import os
+import signal
+import time
+from dataclasses import asdict
+from functools import partial
+
+import pebble
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.results.row import FailReason
+from experiments import executors
+from experiments import run as runner
+from experiments.executors import Lost, dask_cluster, local_processes
+from experiments.run import Experiment, executor_for, run_experiment
+
+EIGHT = Experiment("place-task", (2, 10), ("birrt",), (0, 1, 2, 3), Budget(iterations=20_000))
+
+
+def perform(mark, task):
+    """What the task says: its process is killed always or the first time, stops, or answers."""
+    if task == "dies" or (task == "dies once" and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if task == "hangs":
+        mark.with_suffix(".pid").write_text(str(os.getpid()))
+        os.kill(os.getpid(), signal.SIGSTOP)  # does not hear SIGTERM either
+    if task == "too much memory":
+        raise MemoryError("Unable to allocate")
+    return os.getpid()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkeypatch, count):
+    monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
+    tasks = ["answers", "dies", "too much memory", "hangs", "dies once", "answers", "answers"]
+    with local_processes(count, limit_s=1.0) as executor:
+        found = list(executor.results(partial(perform, tmp_path / "mark"), tasks))
+    assert sorted(task for task, _ in found) == sorted(tasks)
+    lost = {task: result for task, result in found if isinstance(result, Lost)}
+    assert lost == {
+        "dies": (FailReason.WORKER_DIED, "its process was ended by SIGKILL; perhaps memory ran out, twice"),
+        "hangs": (FailReason.WORKER_HUNG, "no answer in 1 s; its process was ended"),
+        "too much memory": (FailReason.OUT_OF_MEMORY, "Unable to allocate"),
+    }
+    assert os.getpid() not in [result for task, result in found if task not in lost]
+    hung = int((tmp_path / "mark.pid").read_text())
+    with pytest.raises(ProcessLookupError):
+        os.kill(hung, 0)
+
+
+def test_another_error_of_a_task_is_raised():
+    with local_processes(2) as executor, pytest.raises(TypeError):
+        list(executor.results(abs, [1, "no number"]))
+
+
+def test_leaving_ends_all_processes_at_once():
+    began = time.monotonic()
+    with local_processes(2) as executor:
+        calls = [executor.submit(time.sleep, 600) for _ in range(5)]
+        time.sleep(0.2)
+    assert time.monotonic() - began < 20 and not any(call.done() and not call.exception() for call in calls)
+
+
+def rows_of(out, executor, on_progress=lambda *_: None):
+    return run_experiment(EIGHT, out, executor, ["test"], on_progress)
+
+
+def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_path, monkeypatch):
+    """All columns but times; min_clearance_m within 1e-6, because its last digits differ between processes."""
+    distributed = pytest.importorskip("distributed")
+    killed = []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as machines,
+        executor_for(EIGHT, 1, machines.scheduler_address) as executor,
+    ):
+        assert executor.size == 2
+        pids = [worker.process.pid for worker in machines.workers.values()]
+
+        def kill_one(done, total, note):
+            if done == 1:
+                os.kill(pids[0], signal.SIGKILL)
+                killed.append(done)
+
+        there = rows_of(tmp_path / "there", executor, kill_one)
+        monkeypatch.setattr(runner, "weights_of", lambda *_: {"vq_mpt": "f" * 64})
+        with pytest.raises(InvalidInputError, match="has other weights; install the same cvqmpt-lab there"):
+            executor_for(EIGHT, 1, machines.scheduler_address).__enter__()
+    monkeypatch.undo()
+    with executor_for(EIGHT, 2) as executor:
+        here = rows_of(tmp_path / "here", executor)
+    assert killed and len(here) == len(there) == 8
+    for one, other in zip(map(asdict, here), map(asdict, there), strict=True):
+        assert math.isclose(one.pop("min_clearance_m"), other.pop("min_clearance_m"), abs_tol=1e-6)
+        assert {k: v for k, v in one.items() if not k.startswith("t_")} == {
+            k: v for k, v in other.items() if not k.startswith("t_")
+        }
+
+
+def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(executors, "CONNECT_S", 0.3)
+    told = r"no Dask scheduler answers at tcp://127.0.0.1:9: .*start one"
+    with pytest.raises(InvalidInputError, match=told):
+        dask_cluster("tcp://127.0.0.1:9", 1.0, dict).__enter__()
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InvalidInputError, match=r"not installed: pip install 'cvqmpt-lab\[dask\]'"):
+        dask_cluster("tcp://127.0.0.1:9", 1.0, dict).__enter__()
