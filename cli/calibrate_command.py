@@ -11,8 +11,8 @@ from cli.robot_options import add_robot, chosen_robot
 from cvqmpt_lab.codec.documents import to_text
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.sensing.calibration import calibrate
-from cvqmpt_lab.sensing.camera import read_extrinsics
-from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.sensing.camera_files import read_extrinsics
+from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.scan import Arm
 
 EXAMPLES = (

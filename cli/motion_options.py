@@ -17,7 +17,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.files.by_path import read_scene
+from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -12,7 +12,7 @@ from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.files.cloud_writing import WRITERS, write_cloud
+from cvqmpt_lab.scene.cloud_files import WRITERS, write_cloud
 from cvqmpt_lab.sensing.scan import Arm, refuse_touching
 from cvqmpt_lab.show.still import draw_world
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from cli.options import numbers, positive
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.cameras import BoxCrop
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
-from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.filters import BoxCrop
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
+from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, scan
-from cvqmpt_lab.sensing.supporting_plane import CAMERA_UP
 
 PLANES = ("keep", "box", "remove")
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from cli.options import writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Attachment
 
 if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve_task import TaskSolution

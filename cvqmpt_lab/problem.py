@@ -40,10 +40,9 @@ from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import seen_from
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.files.by_path import with_files_read
-from cvqmpt_lab.scene.scene import NamedScene, Scene
+from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
+from cvqmpt_lab.scene.scene_files import with_files_read
 
 MOST_REGIONS = 32  # of one constraint
 CONTRADICTION = 1e-3  # [m, rad] that a given goal may lie outside the goal region

@@ -18,9 +18,9 @@ from cloud_files import GOOD, npy
 from PIL import Image
 
 from cvqmpt_lab.errors import CvqmptError
-from cvqmpt_lab.scene.files.clouds import read_cloud
-from cvqmpt_lab.sensing.camera import read_extrinsics, read_intrinsics
-from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.scene.cloud_files import read_cloud
+from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.depth import read_capture
 from experiments.trust.mutation import damaged
 
 SLOWEST = 2.0  # [s] for one small file on a busy machine

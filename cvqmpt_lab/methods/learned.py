@@ -31,7 +31,7 @@ from cvqmpt_lab.planning.result import JointPath, Timings
 from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
 from cvqmpt_lab.planning.sight import Sight
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cameras import CameraSettings
+from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.codebook import codes_of, dictionary_gaussians
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, Prediction, Predictor, PredictorSettings

@@ -15,9 +15,9 @@ from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.codebook import Codebook, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.weights import SHIPPED, StoredModel, read_model, resolve_model
 

@@ -15,10 +15,10 @@ from cvqmpt_lab.kept import kept_arrays, sources_digest
 from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud, thinned, visible_points
 from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
+from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
 
 FEWEST = 2
 """Points that networks need."""
@@ -96,7 +96,7 @@ class Observer:
 def _sources() -> str:
     """What clouds are rendered by."""
     library = Path(__file__).parents[1]
-    return f"{sources_digest(library / 'cameras', library / 'scene')} {np.__version__}"
+    return f"{sources_digest(library / 'sensing', library / 'scene')} {np.__version__}"
 
 
 def shown(method: Method, points: np.ndarray) -> Method:

@@ -19,11 +19,10 @@ from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline
 from cvqmpt_lab.kernels.collision.sphere_cover import ANY_RADIUS
 from cvqmpt_lab.planning.stored_geometry import stored_robot_geometry
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cells import MOST_BALLS, cells_of, merged
 from cvqmpt_lab.scene.exact_checker import carried_pairs
 from cvqmpt_lab.scene.exact_shapes import reach_with
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import (
     Box,
     ConvexMesh,

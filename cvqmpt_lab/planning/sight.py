@@ -9,7 +9,7 @@ from cvqmpt_lab.kernels.search.sight import Sight, fill_distances, judge_motions
 from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Attachment
 
 CELL = 0.03  # [m] of the distance field
 LOWER, UPPER = (

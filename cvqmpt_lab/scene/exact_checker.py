@@ -14,9 +14,8 @@ import pinocchio as pin
 
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.sweep import Sweep
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_shapes import Solid, obstacles_within, reach_with, solids, transform
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 
 SWELLINGS = (1e-3, 1e-2, 0.05, 0.25)
 """[m] by which the boxes of obstacles are swelled in a broad phase, so that it reports what is that close."""

@@ -9,9 +9,8 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cells import MOST_BALLS, Cells, cells_of, merged
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import (
     Box,
     ConvexMesh,

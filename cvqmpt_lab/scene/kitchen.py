@@ -9,7 +9,8 @@ and hitman are left of it. Cabinets are hollow and have no back panel: the back 
 
 from collections.abc import Mapping
 
-from cvqmpt_lab.scene.furniture import (
+from cvqmpt_lab.scene.kitchen_parameters import WALL_CELLS, KitchenParameters
+from cvqmpt_lab.scene.objects import (
     Part,
     Span,
     articulated,
@@ -21,7 +22,6 @@ from cvqmpt_lab.scene.furniture import (
     oriented,
     shrunk,
 )
-from cvqmpt_lab.scene.kitchen_parameters import WALL_CELLS, KitchenParameters
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 
 

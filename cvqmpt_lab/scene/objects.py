@@ -1,19 +1,101 @@
-"""Household objects of the tasks: the chips can that is carried, and two obstacles on the counter.
+"""Pieces of furniture: upright boxes, cylinders along an axis, handles, and what a hinge or slider moves."""
 
-Each object has a link frame, in which its model file is written, and a centre of mass (COM), which
-the published experiment code reports as the object's position. The shape's own frame is a third one,
-in the middle of the cylinder or box. Objects stand upright, so a yaw is all the rotation they have.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
+from cvqmpt_lab.scene.scene import Articulation, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
+Span = tuple[float, float]
+
+
+class Part(NamedTuple):
+    """Pieces of furniture that move together, and how; None for fixed ones."""
+
+    objects: list[SceneObject]
+    articulation: Articulation | None = None
+
+
+def handle(
+    name: str, centre: tuple[float, float, float], axis: str, p: KitchenParameters
+) -> list[SceneObject]:
+    """Return a bar along `axis` ("y" or "z") at `centre`, and the two posts from it towards +x."""
+    bar = cylinder(f"{name}/handle_bar", 0.5 * p.handle_diameter, p.handle_length, centre, axis)
+    along = bar.T_world_object[:3, 2]
+    ends = ("right", "left") if axis == "y" else ("lower", "upper")
+    posts = [
+        cylinder(
+            f"{name}/handle_post_{end}",
+            0.5 * p.post_diameter,
+            p.post_length,
+            centre + sign * 0.5 * p.post_spacing * along + (0.5 * p.post_length, 0.0, 0.0),
+            "x",
+        )
+        for end, sign in zip(ends, (-1, +1), strict=True)
+    ]
+    return [bar, *posts]
+
+
+def hinged(
+    name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters
+) -> Part:
+    """Return a door with a vertical hinge: a left (+1) one opens to -door_range, a right (-1) one to +."""
+    limits = (-p.door_range, 0.0) if hinge_side > 0 else (0.0, p.door_range)
+    return articulated(name, "hinge", pose((*hinge_xy, 0.0)), limits, objects)
+
+
+def articulated(
+    name: str,
+    kind: Literal["hinge", "slider"],
+    T_world_joint: FloatArray,
+    limits: Span,
+    objects: list[SceneObject],
+) -> Part:
+    """Return the objects with a closed (value 0) articulation that moves all of them."""
+    moves = tuple(item.name for item in objects)
+    return Part(objects, Articulation(name, kind, T_world_joint, *limits, value=0.0, moves=moves))
+
+
+def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObject:
+    """Return an upright box that fills the three world intervals."""
+    centre = (0.5 * sum(x), 0.5 * sum(y), 0.5 * sum(z))
+    return SceneObject(name, Box((x[1] - x[0], y[1] - y[0], z[1] - z[0])), pose(centre), obstacle)
+
+
+def cylinder(
+    name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z"
+) -> SceneObject:
+    """Return a cylinder whose axis is a world axis."""
+    return SceneObject(name, Cylinder(radius, height), oriented(axis, centre))
+
+
+def oriented(axis: str, xyz: Iterable[float]) -> FloatArray:
+    """Return the (4, 4) pose at `xyz` whose own z points along a world axis: "x", "y", "z" or "-x"."""
+    T = pose(xyz)
+    columns = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2), "-x": (2, 1, 0)}[axis]
+    T[:3, :3] = np.eye(3)[:, columns]
+    if axis == "-x":
+        T[:3, 2] *= -1.0
+    return T
+
+
+def shrunk(span: Span, margin: float) -> Span:
+    """Return the interval made smaller by `margin` at both ends."""
+    return span[0] + margin, span[1] - margin
+
+
+def bar_y(panel_y: Span, hinge_side: int, inset: float) -> float:
+    """Return the y of a vertical handle bar, `inset` from the panel's edge opposite its hinge."""
+    return panel_y[0] + inset if hinge_side > 0 else panel_y[1] - inset
+
+
+# Household objects of the tasks: the chips can that is carried, and two obstacles on the counter.
 Vector = tuple[float, float, float]
 
 

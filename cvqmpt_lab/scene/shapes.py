@@ -1,7 +1,4 @@
-"""Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and occupancy maps.
-
-A shape lives in its own frame; `SceneObject` places it in the world. Lengths are in [m].
-"""
+"""Whether points span a volume that collision code can work with."""
 
 import itertools
 import math
@@ -9,13 +6,88 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Padding, Tagged
+from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name, Padding, Tagged
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.extent import check_volume
-from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH
 
+MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise
+FARTHEST = 1e4  # [m] that a corner may be from its frame
+
+
+def thickness(points: npt.NDArray[np.float64]) -> float:
+    """Extent [m] of points (n, 3) in the direction in which they extend least."""
+    return float(np.ptp(points @ thin_direction(points)))
+
+
+def thin_direction(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Direction (3,) in which points (n, 3) extend least; a normal of their plane if they have one."""
+    centred = points - points.mean(axis=0)
+    return np.linalg.eigh(centred.T @ centred)[1][:, 0]
+
+
+def check_volume(points: npt.NDArray[np.float64], what: str) -> None:
+    """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision checks.
+
+    Raises
+    ------
+    InvalidInputError: says which, after `what`.
+    """
+    farthest = float(np.abs(points).max(initial=0.0))
+    if farthest > FARTHEST:
+        raise InvalidInputError(
+            f"{what} must lie within {FARTHEST:g} m of their frame, one is {farthest:.3g} m off: give metres"
+        )
+    if len(points) < 4 or thickness(points) < MIN_THICKNESS:
+        raise InvalidInputError(
+            f"{what} must span a volume: give 4 or more points that are not in one plane, and at least "
+            f"{1e3 * MIN_THICKNESS:g} mm thick, got {len(points)} points"
+        )
+
+
+# What stands in a json file in the place of a shape that a file of its own holds.
+@dataclass(frozen=True, eq=False)
+class CloudFile(Checked):
+    """Points of a file, see `clouds.READERS`, as a PointCloud."""
+
+    path: Name
+    """Of the file, from the folder of the one that names it."""
+    radius: Length
+    """Of the ball around every point [m]."""
+    scale: Length = 1.0
+    """[m] of one unit of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapFile(Checked):
+    """Points of a file, see `clouds.READERS`, as the OccupancyMap of the cells that hold some."""
+
+    path: Name
+    """Of the file, from the folder of the one that names it."""
+    resolution: Length = 0.02
+    """Edge of the cells [m]."""
+    padding: Padding = 0.0
+    """Distance by which cells are swelled [m]."""
+    scale: Length = 1.0
+    """[m] of one unit of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFile(Checked):
+    """A mesh of a file, see `meshes.KINDS`, as one ConvexMesh or several."""
+
+    path: Name
+    """Of the file, from the folder of the one that names it."""
+    scale: Length = 1.0
+    """[m] of one unit of the file."""
+
+
+SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
+"""By the "type" that json calls them."""
+
+
+# Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and occupancy maps.
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]")]
 FINEST = 1e-3  # [m] edge of a map's cells, below which indices would be measuring noise
 FARTHEST_CELL = 1_000_000  # along an axis

@@ -1,134 +1,106 @@
-"""A depth camera: how it projects (intrinsics) and where it stands (extrinsics), from files.
+"""Where a depth camera stands and what its optics take in."""
 
-The camera's frame is optical: x to the right, y down, z ahead. `T_world_camera` is its pose in the robot's base frame.
-"""
-
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from functools import cached_property
 
 import numpy as np
 
-from cvqmpt_lab.cameras.camera import Lens
-from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Such
-from cvqmpt_lab.codec.plain import Checked, from_plain, located, mapping
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import MATRIX, Placement, Pose
-from cvqmpt_lab.sensing.settings_files import read_settings
-
-ROUNDED = 1e-3
-"""How far a rotation matrix in a file may be from orthonormal: three digits were written down."""
-FORMS = "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or intrinsic_matrix"
-MOST_PIXELS = 2**14
-"""Of a side of an image."""
-Pixels = Annotated[
-    int, Such(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})
-]
 
 
-@dataclass(frozen=True, eq=False)
-class Pinhole(Checked):
-    """How a camera without distortion projects; pixel (0, 0) is the middle of the upper left one."""
+@dataclass(frozen=True)
+class DepthCamera:
+    """A virtual depth camera, upright."""
 
-    width: Pixels
-    """Of its image [pixels]."""
-    height: Pixels
-    """Of its image [pixels]."""
-    fx: Length
-    """Focal length along rows [pixels]."""
-    fy: Length
-    """Focal length along columns [pixels]."""
-    cx: float
-    """Column of the principal point [pixels]."""
-    cy: float
-    """Row of the principal point [pixels]."""
+    eye: tuple[float, float, float]
+    """Where it stands [m]."""
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What it looks at [m]; another point than `eye`."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (0.0 <= self.cx < self.width and 0.0 <= self.cy < self.height):
+        if not np.isfinite([*self.eye, *self.target]).all() or np.allclose(self.eye, self.target):
+            raise InvalidInputError(f"camera at {self.eye} cannot look at {self.target}; give two points")
+
+    @cached_property
+    def axes(self) -> np.ndarray:
+        """(3, 3), rows: to the right, up, ahead."""
+        ahead = np.subtract(self.target, self.eye)
+        ahead = ahead / np.linalg.norm(ahead)
+        upright = (0.0, 0.0, 1.0) if abs(ahead[2]) < 1.0 - 1e-9 else (1.0, 0.0, 0.0)
+        right = np.cross(ahead, upright)
+        right /= np.linalg.norm(right)
+        return np.array([right, np.cross(right, ahead), ahead])
+
+    @property
+    def T_world_camera(self) -> np.ndarray:
+        """(4, 4), pose of the frame in which images are given: x to the right, y down, z ahead [m]."""
+        right, up, ahead = self.axes
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = np.stack([right, -up, ahead], axis=1), self.eye
+        return T
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    """Size, angle and range of a camera's images; by default of those that published kitchen clouds were made of."""
+
+    width: int = 224
+    """Of each image [pixels]."""
+    height: int = 224
+    """Of each image [pixels]."""
+    vertical_fov: float = 45.0
+    """Angle of view from the bottom to the top of an image [deg]."""
+    near: float = 1.0
+    """Nearer surfaces are looked through [m]."""
+    far: float = 5.1
+    """Farther surfaces are not seen [m]."""
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 1 or not 0.0 < self.vertical_fov < 180.0:
             raise InvalidInputError(
-                f"intrinsics: principal point ({self.cx:g}, {self.cy:g}) is outside the image of "
-                f"{self.width} x {self.height} pixels; give those of this image's size"
+                f"image of {self.width} x {self.height} pixels, {self.vertical_fov} deg: give 1 or more pixels, "
+                "an angle between 0 and 180"
             )
+        if not 0.0 < self.near < self.far:
+            raise InvalidInputError(f"camera depths {self.near} to {self.far} m: give 0 < near < far")
 
-    @classmethod
-    def of(cls, lens: Lens) -> "Pinhole":
-        """That of virtual cameras."""
-        focal = 0.5 * lens.height / lens.extent[1]
-        return cls(lens.width, lens.height, focal, focal, 0.5 * (lens.width - 1), 0.5 * (lens.height - 1))
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Half the width and half the height of the image, at a depth of 1 m [m]."""
+        tall = math.tan(0.5 * math.radians(self.vertical_fov))
+        return tall * self.width / self.height, tall
 
-
-def read_intrinsics(path: Path | str) -> Pinhole:
-    """Read a json or yaml file: our own fields, ROS's camera_info, Open3D's, or a matrix K.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError: what is wrong, and the file.
-    """
-    data = read_settings(path, "intrinsics")
-    with located(f"intrinsics {path}"):
-        return _pinhole(data)
+    def rays(self, camera: DepthCamera) -> np.ndarray:
+        """Rays (height, width, 3) through the pixels' centres, of depth 1 m."""
+        wide, tall = self.extent
+        x = wide * ((np.arange(self.width) + 0.5) * 2.0 / self.width - 1.0)
+        y = tall * (1.0 - (np.arange(self.height) + 0.5) * 2.0 / self.height)
+        right, up, ahead = camera.axes
+        return ahead + y[:, None, None] * up + x[:, None] * right
 
 
-def _pinhole(data: Any) -> Pinhole:
-    fields = mapping(data, "", FORMS)
-    name = next((name for name in ("camera_matrix", "K", "k", "intrinsic_matrix") if name in fields), None)
-    if name is None:
-        return from_plain(Pinhole, fields)
-    distortion = next((fields[d] for d in ("distortion_coefficients", "D", "d") if d in fields), None)
-    if distortion is not None and np.any(Array((None,)).read(_listed(distortion), "distortion") != 0.0):
-        raise InvalidInputError("it says that the lens distorts; give rectified images and their intrinsics")
-    listed = np.ravel(np.asarray(_listed(fields[name]), dtype=object)).tolist()
-    K = Array((9,), "numbers, row after row").read(listed, name).reshape(3, 3)
-    if name == "intrinsic_matrix" and K[2, 0] != 0.0:
-        K = K.T  # Open3D writes column after column
-    if not np.array_equal(K * [[0, 1, 0], [1, 0, 0], [1, 1, 0]], np.zeros((3, 3))) or K[2, 2] != 1.0:
-        raise InvalidInputError(f"{name} is {K.tolist()}; it must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    size = {side: fields.get(f"image_{side}", fields.get(side)) for side in ("width", "height")}
-    return from_plain(Pinhole, {**size, "fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]})
+KINECT = Lens(width=320, height=288, vertical_fov=65.0, near=0.5, far=5.46)
+"""Azure Kinect DK, narrow field of view, 2x2 binned: 75 x 65 deg (here 71), 0.5 to 5.46 m.
+
+Source: Microsoft, "Azure Kinect DK hardware specifications"."""
 
 
-def _listed(value: Any) -> Any:
-    """ROS writes a matrix as {rows, cols, data}."""
-    return value.get("data") if isinstance(value, Mapping) else value
-
-
-def read_extrinsics(path: Path | str) -> FloatArray:
-    """Read T_world_camera (4, 4) from a json or yaml file.
-
-    A 4x4 matrix, {xyz, quaternion}, {xyz, rpy}, or ROS's {translation, rotation}, alone or as "T_world_camera".
-    A matrix that was rounded is made orthonormal.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError: what is wrong, and the file.
-    """
-    data = read_settings(path, "extrinsics")
-    if isinstance(data, Mapping) and set(data) == {"T_world_camera"}:
-        data = data["T_world_camera"]
-    with located(f"extrinsics {path}"):
-        return from_plain(Pose, _rigid(data), "T_world_camera")
-
-
-def _rigid(data: Any) -> Any:
-    """A pose as `Pose` takes it."""
-    if isinstance(data, Mapping):
-        if "translation" not in data:
-            return data
-        named = {"xyz": data["translation"], "quaternion": data.get("rotation")}
-        ordered = {key: _in_order(value, "xyzw"[: 3 + (key != "xyz")]) for key, value in named.items()}
-        return from_plain(Placement, ordered, "T_world_camera").matrix
-    T = np.array(MATRIX.read(data, "T_world_camera"))
-    turn = T[:3, :3]
-    rounded = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() <= ROUNDED
-    if rounded and np.linalg.det(turn) > 0.0:
-        from scipy.spatial.transform import Rotation  # a third of a second to import
-
-        T[:3, :3] = Rotation.from_matrix(turn).as_matrix()
-    return T
-
-
-def _in_order(value: Any, axes: str) -> Any:
-    """ROS writes vectors as {x, y, z} and quaternions as {x, y, z, w}."""
-    return [value.get(axis) for axis in axes] if isinstance(value, Mapping) else value
+def cameras_on_sphere(
+    azimuths: tuple[float, ...],
+    elevations: tuple[float, ...],
+    radius: float = 2.0,
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[DepthCamera, ...]:
+    """Cameras at every pair of azimuth and elevation [deg], `radius` [m] from the point they look at."""
+    cameras = []
+    for elevation in np.radians(elevations):
+        for azimuth in np.radians(azimuths):
+            direction = (
+                math.cos(elevation) * math.cos(azimuth),
+                math.cos(elevation) * math.sin(azimuth),
+                math.sin(elevation),
+            )
+            x, y, z = (float(c + radius * d) for c, d in zip(centre, direction, strict=True))
+            cameras.append(DepthCamera((x, y, z), centre))
+    return tuple(cameras)

@@ -10,8 +10,9 @@ from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cells import distinct, map_of_points
 from cvqmpt_lab.scene.shapes import OccupancyMap
+from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import near_robot
-from cvqmpt_lab.sensing.scan import Arm, Capture
+from cvqmpt_lab.sensing.scan import Arm
 
 MOST_CELLS = 1 << 27
 """Of the box in which unknown cells are looked for; one byte each."""

@@ -1,7 +1,7 @@
 """A scan: what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,14 +9,13 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cameras import BallCrop, BoxCrop
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
-from cvqmpt_lab.scene.voxels import voxel_means
-from cvqmpt_lab.sensing.filters import lonely, near_robot
-from cvqmpt_lab.sensing.supporting_plane import (
+from cvqmpt_lab.sensing.depth import Capture
+from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, lonely, near_robot, voxel_means
+from cvqmpt_lab.sensing.plane import (
     CAMERA_TILT,
     CAMERA_UP,
     GAP,
@@ -32,23 +31,6 @@ NEIGHBOURHOOD = 3.0
 """Voxels around a point in which its neighbours are counted."""
 RESOLUTION = 0.02
 """Edge of a map's cells [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """What one camera saw."""
-
-    points: FloatArray
-    """(m, 3), all finite [m, camera frame]."""
-    unseen: int = 0
-    """Pixels, or rows of a file, without a finite point."""
-    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
-    """(4, 4); the camera's frame is the robot's base frame unless said otherwise."""
-
-    @property
-    def in_world(self) -> FloatArray:
-        """The points (m, 3) in the robot's base frame [m]."""
-        return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
 
 class Arm(NamedTuple):

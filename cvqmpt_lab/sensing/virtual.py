@@ -1,16 +1,169 @@
-"""What virtual cameras saw, in the files that a lab's cameras give: a 16-bit image, intrinsics and extrinsics."""
+"""Point clouds of scenes, as virtual depth cameras see them."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.cameras.view import View
+import numpy as np
+
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.sensing.camera import Pinhole
-from cvqmpt_lab.sensing.depth_images import write_depth
+from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens, cameras_on_sphere
+from cvqmpt_lab.sensing.camera_files import Pinhole
+from cvqmpt_lab.sensing.depth import write_depth
+from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
+from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
+from cvqmpt_lab.sensing.render import Ball, Cuboid, Drum, Polytope, Solid, View, view_of
 
 
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """Where cameras stand and what becomes of what they see; defaults are the published kitchen's."""
+
+    cameras: tuple[DepthCamera, ...] = field(
+        default_factory=lambda: cameras_on_sphere((135.0, -135.0), (40.0, -40.0))
+    )
+    lens: Lens = field(default_factory=Lens)
+    """Of all of them."""
+    obstacles_only: bool = False
+    """Leave out what is no obstacle, such as the floor."""
+    crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)
+    """What is kept of the merged points."""
+    voxel: float | None = 0.025
+    """Edge of the grid in whose cells points are averaged [m]; None to keep all."""
+    noise: float = 0.0
+    """Standard deviation added to every coordinate of the cloud [m]."""
+    errors: DepthNoise | None = None
+    """Of every camera; None: it measures perfectly."""
+    materials: MaterialShares = field(default_factory=MaterialShares)
+    """What objects are made of, which matters to errors."""
+    points: int | None = None
+    """Size of the cloud, drawn at random, repeated when there are fewer; None for what there is.
+
+    Models that take the neighbours of lowest index need points in random order, which they always are.
+    """
+
+    def __post_init__(self) -> None:
+        if self.voxel is not None and not self.voxel > 0.0:
+            raise InvalidInputError(f"voxel of {self.voxel} m: give more than 0, or None")
+        if self.points is not None and self.points < 1:
+            raise InvalidInputError(f"cloud of {self.points} points: give 1 or more, or None")
+        if not self.noise >= 0.0:
+            raise InvalidInputError(f"noise of {self.noise} m: give 0 or more")
+
+    @classmethod
+    def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
+        """Clouds as like those of training as cameras can make them: what a trained model should be given.
+
+        Training clouds cover surfaces evenly, on all sides of obstacles. So these cameras stand all around, see
+        the whole ball of the crop, and no floor. What none of them sees (inside closed cabinets) stays unseen;
+        training clouds show it.
+        """
+        crop = BallCrop()
+        return cls(
+            cameras=cameras_on_sphere((45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre),
+            lens=Lens(vertical_fov=70.0, near=0.1),
+            obstacles_only=True,
+            crop=crop,
+            noise=noise,
+            points=points,
+        )
+
+
+def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
+    """Points (m, 3) [m, robot base frame] that the cameras see of a scene, in random order.
+
+    Empty when they see nothing.
+
+    Raises
+    ------
+    InvalidInputError
+        If the scene has an object that is a point cloud already.
+    """
+    return thinned(visible_points(scene, settings, rng), settings, rng)
+
+
+def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
+    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise (m, 3)."""
+    if settings.voxel is not None:
+        points = voxel_means(points, settings.voxel)
+    points = points[rng.permutation(len(points))]
+    if settings.points is not None and len(points):
+        points = points[np.arange(settings.points) % len(points)]
+    if settings.noise > 0.0:
+        points = points + settings.noise * rng.standard_normal(points.shape)
+    return points
+
+
+def visible_points(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
+    """Points (m, 3) [m] of all pixels of all cameras inside the crop."""
+    seen = [view.points for view in views_of(scene, settings, rng)]
+    points = np.concatenate(seen) if seen else np.empty((0, 3))
+    return points[settings.crop.contains(points)]
+
+
+def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> list[View]:
+    """What each camera sees of a scene, with its errors; materials are the same for all."""
+    solids = solids_of(scene.obstacles if settings.obstacles_only else scene.objects)
+    views = [view_of(solids, camera, settings.lens) for camera in settings.cameras]
+    if settings.errors is None:
+        return views
+    materials = settings.materials.drawn(len(solids), rng)
+    return [measured(view, solids, materials, settings.errors, rng) for view in views]
+
+
+def solids_of(objects: Sequence[SceneObject]) -> list[Solid]:
+    """What cameras see of scene objects; InvalidInputError names one that is a point cloud already."""
+    return [_solid(item) for item in objects]
+
+
+def _solid(item: SceneObject) -> Solid:
+    T = item.T_world_object
+    match item.shape:
+        case Box(size):
+            return Cuboid(T, np.multiply(0.5, size))
+        case Sphere(radius):
+            return Ball(T, radius)
+        case Cylinder(radius, height):
+            return Drum(T, radius, 0.5 * height)
+        case ConvexMesh(vertices):
+            return Polytope(T, _faces(vertices), vertices)
+    raise InvalidInputError(
+        f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points as the cloud"
+    )
+
+
+def _faces(vertices: FloatArray) -> FloatArray:
+    """Planes (f, 4) of the convex hull of vertices (n, 3), each once although it may hold several triangles."""
+    from scipy.spatial import ConvexHull  # a third of a second to import
+
+    return np.unique(ConvexHull(vertices).equations.round(12), axis=0)
+
+
+def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
+    """The robot's links at a configuration (n,), as objects that a camera sees beside a scene's.
+
+    Each is the hull that collision checking takes it for.
+    """
+    rotations, translations = link_poses(robot.kinematics, np.ascontiguousarray(q, dtype=float)[None])
+    objects = []
+    for piece in robot.links:
+        T_world_link = np.eye(4)
+        T_world_link[:3, :3], T_world_link[:3, 3] = rotations[0, piece.link], translations[0, piece.link]
+        shape = ConvexMesh(piece.vertices)
+        objects.append(SceneObject(f"robot/{piece.name}", shape, T_world_link @ piece.T_link_geometry))
+    return tuple(objects)
+
+
+# What virtual cameras saw, in the files that a lab's cameras give: a 16-bit image, intrinsics and extrinsics.
 class CaptureFiles(NamedTuple):
     """The files of one camera, in the order that `read_capture` takes them."""
 

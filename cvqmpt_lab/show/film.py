@@ -11,7 +11,7 @@ from PIL import Image
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.framing import clear_viewpoint
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (

@@ -19,8 +19,7 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planning.result import JointPath, Tree
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Shape, Sphere
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,

@@ -15,7 +15,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.framing import AZIMUTHS, clear_viewpoint, framed
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.framing import clear_viewpoint
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import ROBOT_COLOUR, joined, robot_meshes, scene_meshes

@@ -11,7 +11,7 @@ from cvqmpt_lab.codec.forms import Name, OneOrMore, Tagged
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
-from cvqmpt_lab.scene.attachment import Attachment
+from cvqmpt_lab.scene.scene import Attachment
 
 
 @dataclass(frozen=True, eq=False)

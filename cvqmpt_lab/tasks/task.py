@@ -22,8 +22,8 @@ from cvqmpt_lab.codec.plain import located, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from
-from cvqmpt_lab.scene.files.by_path import with_files_read
 from cvqmpt_lab.scene.scene import Articulation, NamedScene, Scene, SceneObject
+from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Turn
 
 

@@ -16,8 +16,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import TakenOut, take_out
-from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Turn
 from cvqmpt_lab.tasks.task import Task
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from cvqmpt_lab.cameras.camera import DepthCamera, Lens
-from cvqmpt_lab.cameras.noise import DepthNoise, MaterialShares, measured
-from cvqmpt_lab.cameras.solids import Ball, Cuboid, Drum, Solid
-from cvqmpt_lab.cameras.view import view_of
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
+from cvqmpt_lab.sensing.render import Ball, Cuboid, Drum, Solid, view_of
 from cvqmpt_lab.training.paths import Shapes
 
 SMALL = Lens(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)

@@ -6,17 +6,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.cameras.camera import KINECT, DepthCamera
-from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cameras import CameraSettings, arm_objects, views_of
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.sensing.calibration import Calibration, calibrate
-from cvqmpt_lab.sensing.laying import small_motions
+from cvqmpt_lab.sensing.camera import KINECT, DepthCamera
+from cvqmpt_lab.sensing.icp import small_motions
+from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.scan import Arm
+from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
 from experiments.bench.timing import Figure, single, spread
 
 GUESS = 0.1, 10.0  # [m], [deg] that guesses are wrong at most

@@ -19,7 +19,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.families import random_scene
 from experiments.bench.calibration import bench_calibration
 from experiments.bench.collision import STATES, bench_collision
 from experiments.bench.networks import bench_networks

@@ -5,23 +5,22 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cvqmpt_lab.cameras.camera import DepthCamera, Lens
-from cvqmpt_lab.cameras.view import view_of
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.cameras import BoxCrop, arm_objects, solids_of
-from cvqmpt_lab.scene.files.cloud_writing import write_cloud
+from cvqmpt_lab.scene.cloud_files import write_cloud
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.captures import read_capture
-from cvqmpt_lab.sensing.filters import lonely, near_robot
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.filters import BoxCrop, lonely, near_robot
+from cvqmpt_lab.sensing.plane import CAMERA_TILT, CAMERA_UP, supporting_plane
+from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
-from cvqmpt_lab.sensing.supporting_plane import CAMERA_TILT, CAMERA_UP, supporting_plane
-from cvqmpt_lab.sensing.virtual import write_view
+from cvqmpt_lab.sensing.virtual import arm_objects, solids_of, write_view
 from experiments.bench.timing import Figure, calibration, timed
 
 START = np.array([-0.9, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])

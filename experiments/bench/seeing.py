@@ -5,18 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.cameras.camera import cameras_on_sphere
-from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import POINTS_SEEN, WRONG_SCENE, dictionary_roadmap
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.sensing.camera import cameras_on_sphere
+from cvqmpt_lab.sensing.filters import BallCrop
+from cvqmpt_lab.sensing.noise import DepthNoise
+from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from experiments.bench.timing import Figure, spread, timed
 from experiments.labels.labelled_scenes import unconstrained_space

@@ -21,8 +21,8 @@ from cvqmpt_lab.planning.code_graph import SeenGraph
 from cvqmpt_lab.planning.code_sequences import SequenceSearch, SequenceSettings
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.cameras import camera_cloud
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.sensing.virtual import camera_cloud
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
 from experiments.bench.seeing import AROUND, FIRST_SCENE
 from experiments.bench.timing import Figure, single, timed

@@ -8,9 +8,8 @@ import numpy as np
 from cvqmpt_lab.constraints.named import Line, Plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from experiments.suites.door_task import handle_region
 from experiments.suites.place_task import carried_can

@@ -18,10 +18,9 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Cylinder
 
 ENVIRONMENTS = range(150)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.cameras.camera import DepthCamera
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -17,6 +16,7 @@ from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.sensing.camera import DepthCamera
 from experiments.suites.family_task import PANDA, blocked_pair
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, UnsolvableProblem
 

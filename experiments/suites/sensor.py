@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.cameras.camera import KINECT
-from cvqmpt_lab.cameras.noise import DepthNoise
-from cvqmpt_lab.cameras.view import View
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
-from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, arm_objects, views_of
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.sensing.captures import read_capture
+from cvqmpt_lab.sensing.camera import KINECT
+from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.filters import BallCrop
+from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
+from cvqmpt_lab.sensing.render import View
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, scan
-from cvqmpt_lab.sensing.virtual import CaptureFiles, write_view
+from cvqmpt_lab.sensing.virtual import CameraSettings, CaptureFiles, arm_objects, views_of, write_view
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.scanned_scenes import ScannedScene, scanned_scene
 

@@ -15,11 +15,10 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.robot.loading import load_robot
-from cvqmpt_lab.scene.files.cloud_writing import WRITERS
-from cvqmpt_lab.scene.files.clouds import read_cloud
-from cvqmpt_lab.scene.files.meshes import KINDS, read_mesh, read_triangles
-from cvqmpt_lab.sensing.camera import Pinhole, read_extrinsics, read_intrinsics
-from cvqmpt_lab.sensing.depth_images import read_depth
+from cvqmpt_lab.scene.cloud_files import WRITERS, read_cloud
+from cvqmpt_lab.scene.mesh_files import KINDS, read_mesh, read_triangles
+from cvqmpt_lab.sensing.camera_files import Pinhole, read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.depth import read_depth
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.reading import read_motion
 from cvqmpt_lab.vqmpt.weights import read_model

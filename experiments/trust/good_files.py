@@ -18,8 +18,7 @@ from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, csv_text
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.trajectory.export import save_trajectory
 from cvqmpt_lab.trajectory.timing import time_path
@@ -90,7 +89,7 @@ def mesh(kind: str) -> bytes:
 @lru_cache(maxsize=1)
 def depth() -> bytes:
     """A depth image (9, 12)."""
-    from cvqmpt_lab.sensing.depth_images import write_depth
+    from cvqmpt_lab.sensing.depth import write_depth
 
     with tempfile.TemporaryDirectory() as folder:
         write_depth(Path(folder) / "depth.png", np.arange(500, 608).reshape(9, 12) / 1000.0)

@@ -22,7 +22,7 @@ from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder, load_vq_mpt
 from experiments.trust.check import Check, Trial
 from experiments.trust.random_arms import ARMS, WIDTHS, arm, problem_around

@@ -10,7 +10,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.families import random_scene
 from experiments.trust.random_robots import TOOL, random_urdf
 
 ARMS = 12

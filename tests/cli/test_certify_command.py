@@ -15,7 +15,7 @@ from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.paths import PATHS_FILE, KeptPaths, states_hash
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder
 from cvqmpt_lab.tasks.goals import phase_problems

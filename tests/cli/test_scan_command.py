@@ -9,17 +9,15 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from cli.main import main
-from cvqmpt_lab.cameras.camera import DepthCamera, Lens
-from cvqmpt_lab.cameras.view import view_of
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cameras import arm_objects, solids_of
-from cvqmpt_lab.scene.files.by_path import read_scene
-from cvqmpt_lab.scene.files.cloud_writing import write_cloud
-from cvqmpt_lab.scene.files.clouds import read_cloud
+from cvqmpt_lab.scene.cloud_files import read_cloud, write_cloud
 from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
 from cvqmpt_lab.sensing.filters import near_robot
-from cvqmpt_lab.sensing.virtual import write_view
+from cvqmpt_lab.sensing.render import view_of
+from cvqmpt_lab.sensing.virtual import arm_objects, solids_of, write_view
 
 START, GOAL = "-0.9,0.3,0,-2.0,0,2.3,0.8", "0.9,0.3,0,-2.0,0,2.3,0.8"
 LENS = Lens(width=160, height=120, vertical_fov=60.0, near=0.2)

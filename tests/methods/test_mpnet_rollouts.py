@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from cvqmpt_lab.cameras.camera import DepthCamera, Lens
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.mpnet_rollouts import MPNetRollouts, MPNetSettings
@@ -16,8 +15,9 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.scene.cameras import CameraSettings
 from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.config import MPNetConfig

@@ -13,9 +13,9 @@ from cvqmpt_lab.methods import observation
 from cvqmpt_lab.methods.method import Method, Stages
 from cvqmpt_lab.methods.observation import Observer, shown
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cameras import camera_cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
+from cvqmpt_lab.sensing.virtual import camera_cloud
 
 POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (5000, 3))
 VOXEL = 0.025

@@ -21,7 +21,7 @@ from cvqmpt_lab.planning.roadmap_proposals import RoadmapMixture, RoadmapPath
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.scene.cameras import CameraSettings
+from cvqmpt_lab.sensing.virtual import CameraSettings
 from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)

@@ -12,8 +12,7 @@ from cvqmpt_lab.planning import collision_arrays
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
 MARGIN = SpaceSettings().margin

@@ -260,7 +260,7 @@ def test_only_the_named_contact_is_allowed(panda, grasp):
 
 
 def test_a_load_is_checked_against_door_and_casing(world, grasp):
-    from cvqmpt_lab.scene.attachment import Attachment
+    from cvqmpt_lab.scene.scene import Attachment
 
     _, robot = world
     rod = Attachment("rod", Box((0.02, 0.02, 0.6)), pose((0.0, 0.0, 0.4)))

@@ -6,8 +6,8 @@ import pytest
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.cells import cells_of, distinct, exposed, merged
+from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud, Shape, bounding_radius
 
 

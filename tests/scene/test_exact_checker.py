@@ -12,9 +12,8 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.scene.attachment import Attachment
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from experiments.suites.place_task import carried_can
 

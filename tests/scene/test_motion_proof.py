@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.motion_proof import prove_free
-from cvqmpt_lab.scene.random_scenes import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud
 from experiments.suites.place_task import carried_can

@@ -5,14 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.cameras.camera import DepthCamera, Lens
-from cvqmpt_lab.cameras.view import view_of
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.cameras import arm_objects, solids_of
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.virtual import write_view
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.render import view_of
+from cvqmpt_lab.sensing.virtual import arm_objects, solids_of, write_view
 
 ARM_AT = np.array([0.0, -0.6, 0.0, -2.4, 0.0, 1.9, 0.8])
 SCENE = Scene(

@@ -8,10 +8,9 @@ import pytest
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.sensing.arm_surface import arm_surface
 from cvqmpt_lab.sensing.calibration import calibrate
 from cvqmpt_lab.sensing.filters import near_robot
-from cvqmpt_lab.sensing.laying import laid, small_motions
+from cvqmpt_lab.sensing.icp import arm_surface, laid, small_motions
 from cvqmpt_lab.sensing.scan import Arm
 from experiments.bench.calibration import arm_scan, pose_error
 

@@ -5,18 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.cameras.camera import DepthCamera, Lens
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.cameras import CameraSettings, visible_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.scan import Arm, Capture
+from cvqmpt_lab.sensing.scan import Arm
+from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
 
 EYE = np.array([-1.0, 0.05, 0.45])
 WALL = Box((0.1, 0.6, 0.4))

@@ -7,11 +7,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.cameras import BoxCrop
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.shapes import PointCloud
-from cvqmpt_lab.sensing.captures import read_capture
-from cvqmpt_lab.sensing.filters import near_robot
+from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.filters import BoxCrop, near_robot
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
 
 CROP = BoxCrop((-0.3, -0.9, -0.2), (1.2, 0.9, 1.2))

@@ -8,12 +8,13 @@ import torch
 from scipy.spatial import cKDTree
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
-from cvqmpt_lab.cameras.camera import KINECT, DepthCamera
-from cvqmpt_lab.cameras.noise import DepthNoise
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.cameras import BallCrop, CameraSettings, visible_points
-from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.families import random_scene
+from cvqmpt_lab.sensing.camera import KINECT, DepthCamera
+from cvqmpt_lab.sensing.filters import BallCrop
+from cvqmpt_lab.sensing.noise import DepthNoise
+from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
 from cvqmpt_lab.training.augmentation import BaseTurn, turned
 from cvqmpt_lab.training.camera_clouds import measured_points
 from cvqmpt_lab.training.dataset import open_dataset

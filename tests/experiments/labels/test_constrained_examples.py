@@ -17,8 +17,8 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.vqmpt.weights import WEIGHTS, read_model
 from experiments.labels.constrained_examples import (
     HELD_OUT,

@@ -12,8 +12,8 @@ from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.cameras import CameraSettings, camera_cloud
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_weights

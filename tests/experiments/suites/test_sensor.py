@@ -8,9 +8,9 @@ import pytest
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import FailReason
-from cvqmpt_lab.scene.cameras import solids_of
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
+from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.scanned_scenes import ROOM, SCENES, scanned_scene

@@ -11,8 +11,7 @@ from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.attachment import Attachment
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
 from experiments.bench.collision import near_contact
 

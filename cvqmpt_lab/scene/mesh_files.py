@@ -10,8 +10,8 @@ import trimesh
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.files.convex_pieces import convex_pieces
-from cvqmpt_lab.scene.files.reading import check_lengths, file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.convex import convex_pieces
 
 KINDS: Mapping[str, str] = {".stl": "stl", ".obj": "obj", ".dae": "dae"}
 """What the parser calls a file, by its suffix."""

@@ -17,9 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.cameras.solids import Solid
-from cvqmpt_lab.cameras.view import NOTHING, View, incidence
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.sensing.render import NOTHING, Solid, View, incidence
 
 WEAKEST = 0.15 / 5.46**2
 """[1/m^2], the light of the specified range's end."""

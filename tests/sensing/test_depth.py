@@ -8,9 +8,8 @@ import pytest
 from PIL import Image
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.sensing.camera import Pinhole
-from cvqmpt_lab.sensing.captures import read_capture
-from cvqmpt_lab.sensing.depth_images import deprojected, write_depth
+from cvqmpt_lab.sensing.camera_files import Pinhole
+from cvqmpt_lab.sensing.depth import deprojected, read_capture, write_depth
 
 
 def test_a_depth_image_gives_the_points_that_the_camera_saw(files):

@@ -5,14 +5,14 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from cvqmpt_lab.cameras.camera import KINECT, DepthCamera
-from cvqmpt_lab.cameras.noise import DepthNoise, Materials, MaterialShares, measured
-from cvqmpt_lab.cameras.view import view_of
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cameras import solids_of
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.sensing.camera import KINECT, DepthCamera
+from cvqmpt_lab.sensing.noise import DepthNoise, Materials, MaterialShares, measured
+from cvqmpt_lab.sensing.render import view_of
+from cvqmpt_lab.sensing.virtual import solids_of
 
 CAMERA = DepthCamera((-1.0, 0.0, 0.0))
 AXIAL = DepthNoise(

@@ -7,7 +7,7 @@ import pytest
 from cloud_files import GOOD, POINTS, npy, pcd, ply, xyz
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.scene.files.clouds import read_cloud
+from cvqmpt_lab.scene.cloud_files import WRITERS, read_cloud, write_cloud
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -121,3 +121,15 @@ def test_a_pipe_does_not_hang(tmp_path):
     os.mkfifo(tmp_path / "pipe.xyz")
     with pytest.raises(InvalidInputError, match="no regular file"):
         read_cloud(tmp_path / "pipe.xyz")
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_what_was_written_is_read(suffix, tmp_path):
+    write_cloud(tmp_path / f"cloud{suffix}", POINTS)
+    np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud{suffix}").points, POINTS)
+
+
+def test_another_suffix_is_refused(tmp_path):
+    with pytest.raises(UnknownChoiceError, match=r"'.obj'; valid choices: .pcd, .ply, .npy"):
+        write_cloud(tmp_path / "cloud.obj", POINTS)
+    assert not list(tmp_path.iterdir())

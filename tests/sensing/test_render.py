@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.cameras.camera import KINECT, DepthCamera, Lens, cameras_on_sphere
-from cvqmpt_lab.cameras.view import NOTHING, incidence, view_of
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cameras import solids_of
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
+from cvqmpt_lab.sensing.camera import KINECT, DepthCamera, Lens, cameras_on_sphere
+from cvqmpt_lab.sensing.render import NOTHING, incidence, view_of
+from cvqmpt_lab.sensing.virtual import solids_of
 
 OCTAHEDRON = ConvexMesh(
     0.2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])

@@ -13,9 +13,16 @@ from typing import Any
 from cvqmpt_lab.codec.plain import from_plain, located
 from cvqmpt_lab.files import read_json_object, require_regular_file
 from cvqmpt_lab.scene.cells import map_of_points
-from cvqmpt_lab.scene.files.named import SHAPES_BY_PATH, CloudFile, MapFile, MeshFile
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import ConvexMesh, OccupancyMap, PointCloud
+from cvqmpt_lab.scene.shapes import (
+    SHAPES_BY_PATH,
+    CloudFile,
+    ConvexMesh,
+    MapFile,
+    MeshFile,
+    OccupancyMap,
+    PointCloud,
+)
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +102,7 @@ def _shapes(
     """What a file holds."""
     path = folder / named.path
     if not isinstance(named, MeshFile):
-        from cvqmpt_lab.scene.files.clouds import read_cloud
+        from cvqmpt_lab.scene.cloud_files import read_cloud
 
         cloud = read_cloud(path, named.scale)
         log.info("%s: %d points, %d left out that were not finite", path, len(cloud.points), cloud.dropped)
@@ -104,7 +111,7 @@ def _shapes(
         else:
             yield PointCloud(cloud.points, named.radius)
         return
-    from cvqmpt_lab.scene.files.meshes import read_mesh  # its parser takes 0.3 s to import
+    from cvqmpt_lab.scene.mesh_files import read_mesh  # its parser takes 0.3 s to import
 
     vertices = read_mesh(path, named.scale)
     log.info("%s: %d convex pieces", path, len(vertices))

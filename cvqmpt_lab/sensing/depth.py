@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,26 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_bytes
-from cvqmpt_lab.scene.files.npy import read_array
-from cvqmpt_lab.scene.files.reading import file_bytes, kind_of, parsing
-from cvqmpt_lab.sensing.camera import Pinhole
+from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing, read_array, read_cloud
+from cvqmpt_lab.sensing.camera_files import Pinhole, read_extrinsics, read_intrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What one camera saw."""
+
+    points: FloatArray
+    """(m, 3), all finite [m, camera frame]."""
+    unseen: int = 0
+    """Pixels, or rows of a file, without a finite point."""
+    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
+    """(4, 4); the camera's frame is the robot's base frame unless said otherwise."""
+
+    @property
+    def in_world(self) -> FloatArray:
+        """The points (m, 3) in the robot's base frame [m]."""
+        return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
+
 
 MILLIMETRES = 0.001
 """[m] of one unit of a 16-bit image, as depth cameras write them."""
@@ -98,3 +116,43 @@ def _check_size(shape: tuple[int, ...], camera: Pinhole) -> None:
 
 DEPTH_READERS: Mapping[str, Callable[[bytes, Pinhole], np.ndarray]] = {".png": _read_png, ".npy": _read_npy}
 """Readers of (height, width) numbers by the suffix of the file."""
+
+
+# Views from files: a depth image with its camera, or a cloud.
+IMAGE = ".png"
+
+
+def read_capture(
+    path: Path | str,
+    intrinsics: Path | str | None = None,
+    extrinsics: Path | str | None = None,
+    scale: float | None = None,
+) -> Capture:
+    """Read what one camera saw.
+
+    Parameters
+    ----------
+    path: a cloud, or, with intrinsics, a depth image.
+    intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the robot's base frame.
+    scale: [m] of one unit; None: metres, of a 16-bit image millimetres.
+
+    Raises
+    ------
+    InvalidInputError, UnknownChoiceError: a file that cannot be used, by name.
+    """
+    path = Path(path)
+    if intrinsics is None and path.suffix.lower() == IMAGE:
+        raise InvalidInputError(
+            f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)"
+        )
+    T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
+    if intrinsics is None:
+        cloud = read_cloud(path, 1.0 if scale is None else scale)
+        return Capture(cloud.points, cloud.dropped, T)
+    camera = read_intrinsics(intrinsics)
+    pixels = deprojected(read_depth(path, camera, scale), camera).reshape(-1, 3)
+    points = pixels[np.isfinite(pixels[:, 2])]
+    if len(points) == 0:
+        raise InvalidInputError(f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite")
+    check_lengths(points, f"depth image {path}")
+    return Capture(points, len(pixels) - len(points), T)

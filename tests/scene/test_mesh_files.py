@@ -6,9 +6,8 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.scene.files.convex_pieces import MOST_PIECES, convex_pieces
-from cvqmpt_lab.scene.files.hulls import MOST_VERTICES, of_few_vertices, spread_points
-from cvqmpt_lab.scene.files.meshes import read_mesh
+from cvqmpt_lab.scene.convex import MOST_PIECES, MOST_VERTICES, convex_pieces, of_few_vertices, spread_points
+from cvqmpt_lab.scene.mesh_files import read_mesh
 from cvqmpt_lab.scene.shapes import ConvexMesh
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.sensing.supporting_plane import (
+from cvqmpt_lab.sensing.plane import (
     CAMERA_TILT,
     CAMERA_UP,
     box_around,

@@ -7,7 +7,7 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.random_scenes import random_scene
+from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.shapes import Box, Sphere
 
 

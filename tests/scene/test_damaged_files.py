@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from damaged_files import KINDS, tried
 
-from cvqmpt_lab.scene.files.meshes import read_triangles
+from cvqmpt_lab.scene.mesh_files import read_triangles
 
 
 @pytest.mark.slow

@@ -1,1 +1,0 @@
-"""Virtual depth cameras in numpy alone, so that training can see what evaluation sees."""

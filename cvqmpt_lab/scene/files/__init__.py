@@ -1,1 +1,0 @@
-"""Clouds and meshes that scenes name by path."""
