@@ -8,8 +8,8 @@ from pathlib import Path
 from cli.options import positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import write_text
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.bench.kernels import BENCHES
-from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt bench kernels",

@@ -9,10 +9,10 @@ from cli.options import ProgressBar, positive_int
 from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.scene.families import FAMILIES
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.labels.roadmap_data import RoadmapRecipe
 from experiments.labels.training_data import PANDA, Recipe, SceneRecipe, generate
 from experiments.run import default_jobs
-from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",

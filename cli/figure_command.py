@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cli.options import ProgressBar, add_model, positive_int
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures.code_update import UpdateSettings
 from experiments.figures.learning_curve import LEARNING_CURVE
 from experiments.figures.run_figure import (
@@ -19,7 +20,6 @@ from experiments.figures.run_figure import (
     reproduce_figure,
     summary,
 )
-from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt figure histogram --problem 7 --out runs/histogram",

@@ -22,9 +22,9 @@ from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.rehearsal import rehearse
 from cvqmpt_lab.robot.limits import SLOW
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.table import SUITES, suite_named
 
 EXAMPLES = (
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
         return run_task(args, problem)
     method = _method(args, problem)
     _check_timing(args, problem)
-    rehearse(problem, method, args.backend, lambda text: print(text, file=sys.stderr, flush=True))
+    warm_up(problem, method, args.backend, lambda text: print(text, file=sys.stderr, flush=True))
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
     solution = solve(

@@ -11,7 +11,7 @@ from cvqmpt_lab.robot.limits import SLOW
 from cvqmpt_lab.tasks.solve_task import TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
-from experiments.warmup import compile_kernels
+from cvqmpt_lab.warm_up import compile_kernels
 
 OF_PROBLEMS = ("cloud", "json", "optimize", "save_path", "trajectory", "view")
 

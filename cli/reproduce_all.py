@@ -10,10 +10,10 @@ from cli.report_command import write_report
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import Part, parts
 from experiments.figures.run_figure import FigureRequest, reproduce_figure
 from experiments.run import default_jobs, executor_for, run_experiment
-from experiments.warmup import compile_kernels
 from paper_tables.render import render_directory
 
 OUT = Path("runs/all")

@@ -9,10 +9,10 @@ from cli.planner_options import add_budget, add_optimize, budget, optimize_budge
 from cli.reproduce_all import reproduce_all
 from cli.table_command import show_tables
 from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import PROFILES
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
 from experiments.suites.table import SUITES, suite_named
-from experiments.warmup import compile_kernels
 
 ALL = "all"
 EXAMPLES = (

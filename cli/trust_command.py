@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 
 from cli.options import positive_int, writable_file
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.trust.check import made
 from experiments.trust.figures import record
 from experiments.trust.table import PARTS, checks_of
-from experiments.warmup import compile_kernels
 
 EXAMPLES = (
     "cvqmpt trust",

@@ -2,7 +2,7 @@
 
 import argparse
 
-from experiments.warmup import compile_kernels
+from cvqmpt_lab.warm_up import compile_kernels
 
 EXAMPLES = ("cvqmpt warmup",)
 

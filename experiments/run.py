@@ -20,10 +20,10 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.rows import Item, Outcome, Run, failed_rows, outcome_of
 from experiments.suites.table import suite_named
-from experiments.warmup import compile_kernels
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 """What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""

@@ -12,7 +12,7 @@ from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve_many
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.rehearsal import rehearse
+from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.timing import Figure, calibration, single
 from experiments.executors import local_processes
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
@@ -69,7 +69,7 @@ def _work(name: str, environments: list[int]) -> Share:
         for problem in problems:
             observer(problem)
     method = replace(method, build=lambda robot, weights: stages)
-    rehearse(problems[0], method, "compiled")
+    warm_up(problems[0], method, "compiled")
     began = time.perf_counter(), time.process_time()
     solutions = solve_many(problems, method, ENOUGH)
     took = np.subtract((time.perf_counter(), time.process_time()), began)

@@ -22,12 +22,12 @@ from cvqmpt_lab.sensing.depth import read_depth
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.reading import read_motion
 from cvqmpt_lab.vqmpt.weights import read_model
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments.trust import good_files
 from experiments.trust.check import Check, Trial
 from experiments.trust.contained import Hostile, attacked
 from experiments.trust.mutation import Rng, damaged, hostile_json, hostile_xml
 from experiments.trust.random_robots import TOOL, random_urdf
-from experiments.warmup import compile_kernels
 
 FEW = Budget(iterations=20)
 CAMERA = Pinhole(12, 9, 10.0, 10.0, 5.5, 4.0)

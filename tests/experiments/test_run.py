@@ -19,9 +19,9 @@ from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.vqmpt.weights import resolve_model, weights_digest
+from cvqmpt_lab.warm_up import compile_kernels
 from experiments import run as runner
 from experiments.run import Experiment, executor_for, models_of, run_experiment, weights_of
-from experiments.warmup import compile_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 ENOUGH = Budget(iterations=20_000)

@@ -1,14 +1,18 @@
-"""What a process pays once, paid before any clock starts: weights, machine code, the robot's arrays."""
+"""What a process does once before any clock starts: load weights, compile or load kernels, make the robot's arrays."""
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.kernels.objects import compiled_before
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
+from cvqmpt_lab.kernels.objects import GROUPS, compiled_before, make_ready
 from cvqmpt_lab.kernels.search.tree_growth import plant, remove_child_of_segment
 from cvqmpt_lab.methods.method import Method
+from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, JointPath
@@ -16,14 +20,52 @@ from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 
 ITERATIONS = 20
 SHORTCUTS = 16
-POINTS = 2048
+POINTS = 2048  # of the made-up cloud
+START = (0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202)
+"""An upright hand that touches nothing in the kitchen [rad]."""
 
 
-def rehearse(
+def compile_kernels(announce: Callable[[str], None]) -> float:
+    """Compile every kernel and call those that planners call; seconds it took.
+
+    The first time two processes share the work.
+
+    announce: told beforehand when something is not compiled yet, because that takes about a minute.
+    """
+    began = time.perf_counter()
+    if not compiled_before(tuple(GROUPS)):
+        from concurrent.futures import ProcessPoolExecutor  # `plan` does without
+        from multiprocessing import get_context
+
+        announce("compiling kernels, about a minute, once per machine and version ...")
+        with ProcessPoolExecutor(1, get_context("spawn")) as helper:
+            others = helper.submit(make_ready, [group for group in GROUPS if group != "plan"])
+            make_ready(("plan",))
+            others.result()
+    start, robot = np.array(START), panda()
+    pose = TaskSpaceRegion(robot.pose(start), np.eye(4), np.zeros((6, 2)))
+    problem = PlanningProblem(
+        "warm-up", robot, kitchen(), start, np.empty((0, robot.dof)), (upright(),), goal_region=pose
+    )
+    warm_up(problem, planner_named("birrt"), "compiled")  # goals, trees and shortcuts
+    problem = problem.with_goals(start[None])
+    for name in ("roadmap-cvq", "opt-cvq-mpt"):
+        _propose(problem, planner_named(name), "compiled")
+    space = ConstrainedSpace(problem)  # what planners in Python ask state by state
+    space.project(start)
+    space.valid(start)
+    space.residual_and_jacobian(start)
+    direct_motion(space, start, start)
+    return time.perf_counter() - began
+
+
+def warm_up(
     problem: PlanningProblem, method: Method, backend: str, announce: Callable[[str], None] | None = None
 ) -> None:
     """Take a problem's robot through every stage of a method once, in an empty scene and with a made-up cloud.
@@ -37,11 +79,11 @@ def rehearse(
         announce("compiling kernels, once per machine and version ...")
     empty, _ = with_sampled_goals(replace(problem, scene=Scene("empty", ())))
     goals = empty.goals if len(empty.goals) else problem.start[None]
-    rehearse_proposal(empty.with_goals(goals), method, backend)
-    rehearse_search(empty.with_goals(goals), method, backend)
+    _propose(empty.with_goals(goals), method, backend)
+    _search(empty.with_goals(goals), method, backend)
 
 
-def rehearse_proposal(problem: PlanningProblem, method: Method, backend: str) -> None:
+def _propose(problem: PlanningProblem, method: Method, backend: str) -> None:
     """What a method does before it searches, with a made-up cloud, for a problem with goals."""
     rng = np.random.default_rng(0)
     stages = method.stages(problem)
@@ -51,7 +93,7 @@ def rehearse_proposal(problem: PlanningProblem, method: Method, backend: str) ->
         stages.update(query, proposal)
 
 
-def rehearse_search(problem: PlanningProblem, method: Method, backend: str) -> None:
+def _search(problem: PlanningProblem, method: Method, backend: str) -> None:
     """What a method does once it searches, with uniform samples, for a problem with goals."""
     rng = np.random.default_rng(0)
     space = ConstrainedSpace(problem, backend)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab import rehearsal
+from cvqmpt_lab import warm_up
 from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
@@ -14,17 +14,17 @@ ENOUGH = Budget(iterations=20_000)
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-def test_every_planner_can_be_rehearsed_on_problems_it_serves(name):
+def test_every_planner_can_be_warmed_up_on_problems_it_serves(name):
     for problem in (place_problem(1003), door_problem(0)):
         method = planner_named(name)
         if not method.unfit(problem):
-            rehearsal.rehearse(problem, method, "compiled")
+            warm_up.warm_up(problem, method, "compiled")
 
 
-def test_a_rehearsal_changes_no_path():
+def test_warming_up_changes_no_path():
     problem, method = place_problem(1004), planner_named("opt-cvq-mpt")
     before = solve(problem, method, ENOUGH, seed=3, clearance=False)
-    rehearsal.rehearse(problem, method, "compiled")
+    warm_up.warm_up(problem, method, "compiled")
     after = solve(problem, method, ENOUGH, seed=3, clearance=False)
     assert after.plan.counters == before.plan.counters
     np.testing.assert_array_equal(after.simplified.path.states, before.simplified.path.states)
@@ -32,8 +32,8 @@ def test_a_rehearsal_changes_no_path():
 
 def test_compiling_is_announced_once_nothing_is_compiled(problem, monkeypatch):
     said = []
-    monkeypatch.setattr(rehearsal, "compiled_before", lambda: False)
-    rehearsal.rehearse(problem, planner_named("birrt"), "compiled", said.append)
-    monkeypatch.setattr(rehearsal, "compiled_before", lambda: True)
-    rehearsal.rehearse(problem, planner_named("birrt"), "compiled", said.append)
+    monkeypatch.setattr(warm_up, "compiled_before", lambda: False)
+    warm_up.warm_up(problem, planner_named("birrt"), "compiled", said.append)
+    monkeypatch.setattr(warm_up, "compiled_before", lambda: True)
+    warm_up.warm_up(problem, planner_named("birrt"), "compiled", said.append)
     assert said == ["compiling kernels, once per machine and version ..."]
