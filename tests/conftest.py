@@ -17,16 +17,15 @@ from experiments.suites.place_task import DOOR, DOOR_ANGLE, place_problem
 DATA = Path(__file__).parent / "data"
 
 
-def pytest_addoption(parser):
-    parser.addoption("--full", action="store_true", help="large comparisons whole, not a part of their cases")
+pytest_plugins = ["promises"]
 
 
 @pytest.fixture(scope="session")
 def part(request):
-    """Returns cases of a large comparison: so many of them, evenly spread, or with --full all."""
+    """Returns cases of a large comparison: so many of them, evenly spread, or with --long all."""
 
     def chosen(cases, count):
-        return cases if request.config.getoption("--full") else cases[:: len(cases) // count]
+        return cases if request.config.getoption("--long") else cases[:: len(cases) // count]
 
     return chosen
 

@@ -11,10 +11,8 @@ PARTS: Mapping[str, str] = {
     "differential": "experiments.trust.differential",
     "edges": "experiments.trust.edges",
     "faults": "experiments.trust.faults",
-    "files": "experiments.trust.files",
     "long-runs": "experiments.trust.long_runs",
     "properties": "experiments.trust.properties",
-    "supply": "experiments.trust.supply",
 }
 """Module of each part; only those asked for are imported."""
 

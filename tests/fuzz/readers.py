@@ -1,0 +1,323 @@
+"""Every reader of files that others hand in, a good file for it, how that is made hostile, and how it is used."""
+
+import hashlib
+import io
+import json
+import os
+import pickle
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.stats  # noqa: F401  # tables import it late, which would count as time of the first file
+import trimesh
+from cloud_files import GOOD, npy
+from fuzz.mutation import damaged, hostile_json, hostile_xml
+from hypothesis import strategies as st
+from made_rows import a_row
+from PIL import Image
+from properties.random_arms import random_urdf
+
+from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.dry_run import dry_run
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
+from cvqmpt_lab.results.row import RUNS_FILE, csv_text, read_rows
+from cvqmpt_lab.robot.loading import load_robot, panda
+from cvqmpt_lab.scene.cloud_files import read_cloud
+from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.trajectory.export import save_trajectory
+from cvqmpt_lab.trajectory.reading import read_motion
+from cvqmpt_lab.trajectory.timing import time_path
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.weights import read_model
+from paper_tables.render import render_directory
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+SIDE = 24  # of depth images
+
+
+class Reader(NamedTuple):
+    kind: str  # of file, as docs/guarantees.md names it
+    file: str  # name that a file is given
+    good: Callable[[], bytes]  # a file as it should be
+    mutated: Callable[[bytes], st.SearchStrategy]  # hostile files made of it
+    use: Callable[
+        [Path], object
+    ]  # reads a file and uses what it says; AssertionError when it is read wrongly
+    long: int = 100_000  # files of the long form
+    seconds: float = 1.0  # of processor time that a file may take
+
+
+# ---- problems, motions, tasks, robots
+
+
+@cache
+def problem():
+    """A problem with every kind of shape, something carried, and regions of both forms."""
+    shapes = (
+        Box((0.1, 0.2, 0.3)),
+        Cylinder(0.1, 0.2),
+        Sphere(0.1),
+        ConvexMesh(0.1 * np.eye(4, 3)),
+        PointCloud(np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)), 0.01),
+    )
+    objects = tuple(SceneObject(f"s{k}", shape, pose((2.0, k, 0.5))) for k, shape in enumerate(shapes))
+    plain = json.loads((DATA / "problem-1.json").read_text()) | {"scene": to_plain(Scene("room", objects))}
+    plain["constraint"].insert(0, {"upright": 0.1})
+    return json.dumps(plain).encode()
+
+
+def plan(path):
+    solve(PlanningProblem.load(path), "birrt", Budget(iterations=20), seed=0)
+
+
+@cache
+def motion(ending):
+    ends = np.array([[0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8], [0.1, -0.7, 0.0, -2.2, 0.0, 1.6, 0.8]])
+    return saved(f"motion{ending}", partial(save_trajectory, time_path(ends, panda().joint_limits)))
+
+
+def saved(name, save):
+    """What `save` writes to a path of that name."""
+    with tempfile.TemporaryDirectory() as folder:
+        save(Path(folder) / name)
+        return (Path(folder) / name).read_bytes()
+
+
+def execute(path):
+    dry_run(PlanningProblem.from_dict(json.loads(problem())), read_motion(path))
+
+
+def move(path):
+    robot = load_robot(path, "tool")
+    robot.poses(robot.random_configurations(np.random.default_rng(0), 3))
+
+
+# ---- clouds, meshes, cameras
+
+
+def cloud(path):
+    points = read_cloud(path).points
+    assert points.ndim == 2 and points.shape[1] == 3 and len(points) and np.isfinite(points).all()
+
+
+def ring(kind):
+    data = trimesh.creation.annulus(0.4, 0.5, 1.0, sections=8).export(file_type=kind)
+    return data.encode() if isinstance(data, str) else data
+
+
+def triangles(path):
+    corners = read_triangles(path)
+    assert corners.shape[1:] == (3, 3) and np.isfinite(corners).all()
+
+
+def depth(ending):
+    image = np.random.default_rng(0).integers(0, 3000, (SIDE, SIDE))
+    if ending == ".npy":
+        return npy(0.001 * image)
+    stream = io.BytesIO()
+    Image.fromarray(image.astype(np.uint16)).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def lens():
+    return json.dumps(
+        {"width": SIDE, "height": SIDE, "fx": 20.0, "fy": 20.0, "cx": 11.5, "cy": 11.5}
+    ).encode()
+
+
+def capture(path):
+    path.with_name("lens.json").write_bytes(lens())
+    points = read_capture(path, path.with_name("lens.json")).points
+    assert points.shape[1:] == (3,) and len(points) <= SIDE**2
+    assert np.isfinite(points).all() and (points[:, 2] > 0.0).all()
+
+
+def intrinsics(path):
+    found = read_intrinsics(path)
+    assert 0 <= found.cx < found.width and 0 <= found.cy < found.height and found.fx > 0.0 and found.fy > 0.0
+
+
+def extrinsics(path):
+    T = read_extrinsics(path)
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-5)
+    assert np.isfinite(T).all() and np.linalg.det(T[:3, :3]) > 0.0
+
+
+LENS_OF_ROS = b"""image_width: 640
+image_height: 480
+camera_matrix: {rows: 3, cols: 3, data: [525, 0.0, 319.5, 0.0, 5.26e2, 239.5, 0, 0, 1.]}
+distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
+"""
+POSE = {"translation": {"x": 0.1, "y": -0.5, "z": 1.2}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}}
+
+
+# ---- results
+
+
+def rows():
+    made = [a_row(str(k), name, t_total_s=0.1, vertices=7) for k in range(3) for name in ("birrt", "cvq-mpt")]
+    return csv_text(made).encode()
+
+
+@cache
+def record():
+    session = provenance(["cvqmpt", "reproduce"], [0], {"vq_mpt": "0" * 64}, 2)
+    settings = {"suite": "place-task", "cutoff_s": 10.0, "iterations": 300, "backend": "compiled"}
+    return json.dumps({**session, "configuration": settings, "continued": [session]}).encode()
+
+
+def render(path):
+    (path.parent / RUNS_FILE).write_bytes(rows())
+    render_directory(path.parent)
+
+
+# ---- weights and training data
+
+
+@cache
+def network():
+    """Description and tensors of a small MPNet."""
+    import torch
+
+    from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
+    from cvqmpt_lab.vqmpt.config import MPNetConfig
+    from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+
+    sizes = MPNetConfig(n_points=20, encoder_widths=(8,), code_dim=4, planner_widths=(8, 6))
+    torch.manual_seed(0)
+    with tempfile.TemporaryDirectory() as parent:
+        folder = Path(parent) / "weights"
+        save_checkpoint(folder, MPNetCheckpoint(robot_signature(panda()), MPNet(sizes)))
+        return (folder / "config.json").read_bytes(), (folder / "mpnet.safetensors").read_bytes()
+
+
+def description():
+    return network()[0]
+
+
+def tensors():
+    return network()[1]
+
+
+def weights(path):
+    """Read weights, one of whose files is hostile; the description states the sha256 of the tensors there are."""
+    beside, content = "mpnet.safetensors", tensors()
+    if path.name == beside:
+        stated = json.loads(description())
+        stated["sha256"]["mpnet"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        beside, content = "config.json", json.dumps(stated).encode()
+    (path.parent / beside).write_bytes(content)
+    read_model(path.parent)
+
+
+class Runs:
+    """Pickles to a call, which a careless reader makes."""
+
+    def __init__(self, call, *arguments):
+        self.call = call, arguments
+
+    def __reduce__(self):
+        return self.call
+
+
+def checkpoint():
+    """As torch writes it."""
+    import torch
+
+    state = {f"layer.{k}": torch.arange(12.0).reshape(3, 4) for k in range(4)}
+    return saved("a.pkl", partial(torch.save, {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}}))
+
+
+def damaged_or_running(content):
+    calls = (
+        Runs(os.system, "touch /tmp/owned"),
+        Runs(eval, "__import__('os').system('id')"),
+        Runs(shutil.rmtree, "/nowhere"),
+        Runs(open, "/tmp/owned", "w"),
+        Runs(bytearray, 2**40),
+    )
+    running = st.sampled_from([pickle.dumps({"state": call}, protocol=p) for call in calls for p in (2, 4)])
+    return st.one_of(*[damaged(content)] * 9, running)
+
+
+def checkpoint_of_others(path):
+    from cvqmpt_lab.vqmpt.import_published import read_tensors
+
+    read_tensors(path)
+
+
+@cache
+def dataset():
+    """Content by name of a small folder of training data."""
+    from training_data import write_dataset
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_dataset(Path(folder), shards=((20, 1),), paths_per_scene=2)
+        files = [path for path in Path(folder).rglob("*") if path.is_file()]
+        return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def part_of_dataset(name):
+    return dataset()[name]
+
+
+def training_data(path):
+    folder = path.parent.parent if path.suffix == ".npz" else path.parent
+    for name, content in dataset().items():
+        if folder / name != path:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_bytes(content)
+    open_dataset(folder, verify=False)
+
+
+def constant(content):
+    return content
+
+
+FEW = 20_000
+READERS = (
+    Reader("problems", "problem.json", problem, hostile_json, plan, FEW),
+    Reader("paths and trajectories", "motion.csv", partial(motion, ".csv"), damaged, execute, FEW // 2),
+    Reader("paths and trajectories", "motion.json", partial(motion, ".json"), hostile_json, execute, FEW // 2),
+    Reader("tasks", "task.json", (DATA / "task-1.json").read_bytes, hostile_json, Task.load, FEW),
+    Reader("robots", "arm.urdf", partial(random_urdf, 3), hostile_xml, move, FEW),
+    *(
+        Reader("clouds", name, partial(constant, GOOD[name]), damaged, cloud, 14_000)
+        for name in ("a.pcd", "b.pcd", "c.pcd", "a.ply", "b.ply", "a.npy", "a.xyz")
+    ),
+    *(
+        Reader("meshes", f"mesh.{kind}", partial(ring, kind), damaged, triangles, 33_000)
+        for kind in ("stl", "obj", "dae")
+    ),
+    Reader("meshes, cut into convex pieces", "mesh.obj", partial(ring, "obj"), damaged, read_mesh, 500, 5.0),
+    Reader("depth images and cameras", "depth.png", partial(depth, ".png"), damaged, capture, FEW),
+    Reader("depth images and cameras", "depth.npy", partial(depth, ".npy"), damaged, capture, FEW),
+    Reader("depth images and cameras", "lens.json", lens, hostile_json, intrinsics, FEW),
+    Reader("depth images and cameras", "lens.yaml", partial(constant, LENS_OF_ROS), damaged, intrinsics, FEW),
+    Reader("depth images and cameras", "pose.json", partial(constant, json.dumps({"T_world_camera": POSE}).encode()),
+           hostile_json, extrinsics, FEW),
+    Reader("rows and provenance", RUNS_FILE, rows, damaged, read_rows),
+    Reader("rows and provenance", PROVENANCE_FILE, record, hostile_json, render),
+    Reader("weights", "config.json", description, hostile_json, weights, FEW // 2),
+    Reader("weights", "mpnet.safetensors", tensors, damaged, weights, FEW // 2),
+    Reader("checkpoints of others", "best_model.pkl", checkpoint, damaged_or_running, checkpoint_of_others),
+    *(
+        Reader("training data", name, partial(part_of_dataset, name), mutated, training_data, FEW // 3)
+        for name, mutated in (("dataset.json", hostile_json), ("shards.csv", damaged), ("shards/000000.npz", damaged))
+    ),
+)  # fmt: skip
