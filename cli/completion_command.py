@@ -10,7 +10,7 @@ from cli.main import COMMANDS, NEED_TORCH, parser_with
 from cvqmpt_lab.errors import UnknownChoiceError, torch_installed
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
 from cvqmpt_lab.planning.space import BACKENDS
-from cvqmpt_lab.robot.named import ARMS
+from cvqmpt_lab.robot.source import ARMS
 from experiments.suites.table import SUITES
 
 EXAMPLES = (

@@ -22,7 +22,7 @@ from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import SLOW
+from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.table import SUITES, suite_named
@@ -162,7 +162,7 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
         if args.speed is not None:
             raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
         return
-    from cvqmpt_lab.trajectory.export import file_type
+    from cvqmpt_lab.trajectory.trajectory import file_type
 
     file_type(args.trajectory)
     args.speed = SLOW if args.speed is None else args.speed
@@ -178,8 +178,8 @@ def _write_path(path: Path, solution: Solution) -> None:
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     """Time the certified path, certify the motion too, write it; the line that says so."""
-    from cvqmpt_lab.trajectory.export import save_trajectory
     from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+    from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
     if not solution.solved or solution.simplified is None:
         return "trajectory  none: only certified paths are timed"

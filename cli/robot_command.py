@@ -14,9 +14,9 @@ from cli.robot_options import add_robot_options, robot_options
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.robot.named import ARMS
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.srdf import srdf_text
+from cvqmpt_lab.robot.self_collision import srdf_text
+from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 
@@ -146,9 +146,9 @@ def _alone(robot: Robot) -> PlanningProblem:
 
 
 def _draw(robot: Robot, path: Path) -> None:
-    from cvqmpt_lab.show.framing import clear_viewpoint
     from cvqmpt_lab.show.meshes import ROBOT_COLOUR, joined, robot_meshes
-    from cvqmpt_lab.show.still import still_image, write_png
+    from cvqmpt_lab.show.picture import still_image, write_png
+    from cvqmpt_lab.show.stage import clear_viewpoint
 
     problem, size = _alone(robot), (900, 700)
     seen = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))

@@ -14,7 +14,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cloud_files import WRITERS, write_cloud
 from cvqmpt_lab.sensing.scan import Arm, refuse_touching
-from cvqmpt_lab.show.still import draw_world
+from cvqmpt_lab.show.picture import draw_world
 
 EXAMPLES = (
     "cvqmpt scan scan.pcd --level table --picture scan.png",

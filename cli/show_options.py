@@ -60,7 +60,7 @@ def show_solution(
     """
     lines = []
     if args.picture:
-        from cvqmpt_lab.show.still import draw_solution
+        from cvqmpt_lab.show.picture import draw_solution
 
         draw_solution(solution, args.picture, carried=carried)
         lines.append(f"picture written to {args.picture}")
@@ -83,17 +83,17 @@ def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
     """Write what was asked for; a line for each."""
     lines = []
     if args.save and args.save.suffix in FILMS:
-        from cvqmpt_lab.show.task_film import film_task
+        from cvqmpt_lab.show.film import film_task
 
         film_task(solution, args.save)
         lines.append(f"film written to {args.save}")
     elif args.save:
-        from cvqmpt_lab.show.task_recording import log_task
+        from cvqmpt_lab.show.recording import log_task
 
         log_task(solution, args.save)
         lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
     if args.picture:
-        from cvqmpt_lab.show.task_still import draw_task
+        from cvqmpt_lab.show.picture import draw_task
 
         lines.append(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
     return lines

@@ -51,20 +51,15 @@ class Fault(NamedTuple):
 class Certificate:
     """Findings on one path; valid when there is no fault."""
 
-    faults: tuple[Fault, ...]
-    """What is wrong."""
-    max_violation_rad: float
-    """Largest turn outside the constraint's bounds [rad]."""
-    max_violation_m: float
-    """Largest shift outside them [m]."""
+    faults: tuple[Fault, ...]  # What is wrong
+    max_violation_rad: float  # Largest turn outside the constraint's bounds [rad]
+    max_violation_m: float  # Largest shift outside them [m]
     min_clearance_m: float
     """Smallest distance found, at up to CLEARANCE_STATES states [m]; nan when not asked for."""
-    states_checked: int
-    """Configurations at which distances were compared."""
+    states_checked: int  # Configurations at which distances were compared
     unproven_rad: float = 0.0
     """Longest stretch whose middle is free although its freedom could not be proven [rad]; 0 when there is none."""
-    unproven_at: float | None = None
-    """The middle of that stretch, as the number of a state (see `Fault.at`)."""
+    unproven_at: float | None = None  # The middle of that stretch, as the number of a state (see `Fault.at`)
 
     @property
     def valid(self) -> bool:

@@ -23,7 +23,7 @@ from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.simplify import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-from cvqmpt_lab.threads import one_thread
+from cvqmpt_lab.processes import one_thread
 
 MAX_GOALS = 20
 _log = logging.getLogger("cvqmpt")

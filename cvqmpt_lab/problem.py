@@ -80,12 +80,9 @@ class PlanningProblem(Document):
 
     SCHEMA: ClassVar[str] = "cvqmpt-problem/1"
 
-    name: Name
-    """What it is called in results."""
-    robot: Annotated[Robot, RobotForm()]
-    """What moves; n is the number of its joints."""
-    scene: NamedScene
-    """What it must not touch."""
+    name: Name  # What it is called in results
+    robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
+    scene: NamedScene  # What it must not touch
     start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty(0)
     )
@@ -96,10 +93,8 @@ class PlanningProblem(Document):
     """(k, n), used as they are; if there is none they are drawn from `goal_region` [rad or m]."""
     constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
     """Regions that the end effector must stay in (their intersection; none = unconstrained)."""
-    attachments: tuple[Attachment, ...] = ()
-    """What the hand carries."""
-    goal_region: Region | None = None
-    """End-effector poses that count as a goal."""
+    attachments: tuple[Attachment, ...] = ()  # What the hand carries
+    goal_region: Region | None = None  # End-effector poses that count as a goal
     start_region: Region | None = None
     """End-effector poses from which the start is drawn, when the problem is made, with the constraint kept."""
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.orphans import end_with_parent
+from cvqmpt_lab.processes import end_with_parent
 from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]

@@ -16,9 +16,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.paths import states_hash
 from cvqmpt_lab.results.phase_name import phase_problem
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line
-from cvqmpt_lab.tasks.phases import PlannedPhase
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor import SensedProblem
 from experiments.suites.table import suite_named

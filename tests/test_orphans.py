@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from cvqmpt_lab.orphans import end_with_parent
+from cvqmpt_lab.processes import end_with_parent
 
 
 @pytest.mark.parametrize(("off", "code"), [(0, 0), (1, 1)])

@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from cvqmpt_lab.robot.named import ARMS
+from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.vqmpt.weights import SHIPPED
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -109,9 +109,9 @@ SPOILED = (  # a line of each kind of contract, what it is changed to, and what 
     ("    cvqmpt_lab.planning.ompl_planners\n", "    cvqmpt_lab.planning.result\n", "-> ompl"),
     ("    rerun\n    torch\n", "    rerun\n    numba\n", "-> numba"),
     (
-        "    cvqmpt_lab.show.rasteriser\n    cvqmpt_lab.show.meshes\n",
-        "    cvqmpt_lab.show.meshes\n    cvqmpt_lab.show.rasteriser\n",
-        "-> cvqmpt_lab.show.meshes",
+        "    cvqmpt_lab.show.picture\n    cvqmpt_lab.show.stage",
+        "    cvqmpt_lab.show.stage\n    cvqmpt_lab.show.picture",
+        "-> cvqmpt_lab.show.stage",
     ),
 )
 

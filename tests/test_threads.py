@@ -4,7 +4,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.threads import one_thread
+from cvqmpt_lab.processes import one_thread
 
 
 def test_libraries_have_one_thread_meanwhile_and_what_they_had_afterwards():

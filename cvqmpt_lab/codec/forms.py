@@ -22,10 +22,8 @@ class Such:
 
     kind: Any
     holds: Callable[[Any], bool]
-    must: str
-    """The condition, after "it must be"."""
-    keywords: Mapping[str, Any]
-    """The condition as json schema."""
+    must: str  # The condition, after "it must be"
+    keywords: Mapping[str, Any]  # The condition as json schema
 
     def read(self, value: Any, where: str) -> Any:
         """Refuse a value without the condition."""
@@ -47,10 +45,8 @@ class Such:
 class Array:
     """Finite numbers of a shape, a read-only array when made."""
 
-    shape: tuple[int | None, ...]
-    """None for any length."""
-    what: str = "numbers"
-    """What they are, with the unit."""
+    shape: tuple[int | None, ...]  # None for any length
+    what: str = "numbers"  # What they are, with the unit
 
     def read(self, value: Any, where: str) -> FloatArray:
         """Refuse another shape, NaN and infinity."""

@@ -87,14 +87,16 @@ class _Builder:
 
 
 def _notes(kind: type) -> dict[str, str]:
-    """The docstring under each field of a dataclass, those of its bases included."""
+    """What is written about each field of a dataclass, at the end of its line or below it; bases included."""
     notes: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if not dataclasses.is_dataclass(base):
-            continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body  # type: ignore[attr-defined]
-        for field, note in pairwise(body):
-            match field, note:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    notes[name] = " ".join(text.split())
+    for base in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
+        source = textwrap.dedent(inspect.getsource(base))
+        lines, body = source.splitlines(), ast.parse(source).body[0].body  # type: ignore[attr-defined]
+        for field, below in pairwise([*body, None]):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+                note = lines[(field.end_lineno or 0) - 1].partition("  # ")[2]
+                match below:
+                    case ast.Expr(value=ast.Constant(value=str(text))):
+                        note = " ".join(text.split())
+                notes[field.target.id] = note
     return notes

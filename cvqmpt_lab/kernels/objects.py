@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.disk_cache import sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, write_bytes
-from cvqmpt_lab.kept import sources_digest
 from cvqmpt_lab.kernels.annotations import Compilable
 from cvqmpt_lab.kernels.loading import loaded
 

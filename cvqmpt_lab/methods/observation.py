@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.disk_cache import kept_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kept import kept_arrays, sources_digest
 from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvqmpt_lab.kept import kept_arrays
+from cvqmpt_lab.disk_cache import kept_arrays
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, robot_geometry
 from cvqmpt_lab.kernels.collision.separation import ConvexShapes
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec

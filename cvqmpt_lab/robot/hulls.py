@@ -7,13 +7,10 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.arrays import in_link
-from cvqmpt_lab.robot.robot import LinkGeometry
+from cvqmpt_lab.robot.robot import LinkGeometry, in_link
 
-FARTHEST = 1e4
-"""[m] from the origin of its frame, of a vertex."""
-THINNEST = 1e-6
-"""[m] of a mesh up to 1 m across; of a larger one in proportion."""
+FARTHEST = 1e4  # [m] from the origin of its frame, of a vertex
+THINNEST = 1e-6  # [m] of a mesh up to 1 m across; of a larger one in proportion
 
 
 def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:

@@ -13,23 +13,31 @@ import pinocchio as pin
 
 from cvqmpt_lab.codec.plain import from_plain, mapping
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.arrays import axis_frames, in_link, kinematics_arrays
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
-from cvqmpt_lab.robot.limits import positive_per_joint
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
-from cvqmpt_lab.robot.named import FINGER_OPENING
-from cvqmpt_lab.robot.packages import find_collision_meshes
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import Robot, axis_frames, in_link, kinematics_arrays, positive_per_joint
 from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs
-from cvqmpt_lab.robot.source import ARTICULATED, WHERE, UrdfRobot, read_source
-from cvqmpt_lab.robot.urdf import HeldJoint, Urdf, held_joints, one_coordinate_a_joint, read_urdf
-from cvqmpt_lab.robot.urdf_bodies import check_bodies
+from cvqmpt_lab.robot.source import (
+    ARTICULATED,
+    FINGER_OPENING,
+    WHERE,
+    UrdfRobot,
+    find_collision_meshes,
+    read_source,
+)
+from cvqmpt_lab.robot.urdf import (
+    HeldJoint,
+    Urdf,
+    check_bodies,
+    held_joints,
+    one_coordinate_a_joint,
+    read_urdf,
+)
 
 MOST_REACH = 10.0
 """[m] from the origin; the kernels' distance grid, which covers the cube around it, takes 125 MB then."""
 
-JOINT = "joint: "
-"""Before the names that joints have while pinocchio takes out those that are held."""
+JOINT = "joint: "  # Before the names that joints have while pinocchio takes out those that are held
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:

@@ -16,9 +16,8 @@ from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name
 from cvqmpt_lab.codec.plain import Checked, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import Pose
-from cvqmpt_lab.robot.arrays import axis_frames, kinematics_arrays
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import Robot, axis_frames, kinematics_arrays
 
 JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 
@@ -27,12 +26,10 @@ JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 class Part(Checked):
     """A convex piece of an articulated object."""
 
-    name: Name
-    """Also that of a frame of the robot, if the piece moves."""
+    name: Name  # Also that of a frame of the robot, if the piece moves
     T: Pose
     """(4, 4), in the joint frame at value 0 for a piece that moves, in the world for one that does not."""
-    vertices: Annotated[FloatArray, Array((None, 3), "corners [m]")]
-    """(n, 3), in its own frame [m]."""
+    vertices: Annotated[FloatArray, Array((None, 3), "corners [m]")]  # (n, 3), in its own frame [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -43,27 +40,20 @@ class Part(Checked):
 class ArticulatedObject(Checked):
     """A door or drawer: one joint, the pieces it moves, and the fixed pieces these rest against."""
 
-    name: Name
-    """Of the joint."""
+    name: Name  # Of the joint
     kind: Literal["hinge", "slider"]
     """A hinge turns about the z axis of the joint frame, a slider moves along it."""
-    T_world_joint: Pose
-    """(4, 4) at value 0."""
-    lower: float
-    """[rad or m]."""
-    upper: float
-    """[rad or m]."""
-    parts: tuple[Part, ...]
-    """What moves."""
+    T_world_joint: Pose  # (4, 4) at value 0
+    lower: float  # [rad or m]
+    upper: float  # [rad or m]
+    parts: tuple[Part, ...]  # What moves
     casing: tuple[Part, ...] = ()
     """Fixed pieces that the parts touch, or nearly, without ever entering them. They are checked
     against the robot and what it carries, never against the parts."""
     may_touch: tuple[tuple[str, str], ...] = ()
     """(robot piece, part) pairs that are not checked: what holds the handle."""
-    velocity: Length = 1.0
-    """How fast it may be moved [rad/s or m/s]; only timing a path needs it."""
-    acceleration: Length = 2.0
-    """[rad/s^2 or m/s^2], likewise."""
+    velocity: Length = 1.0  # How fast it may be moved [rad/s or m/s]; only timing a path needs it
+    acceleration: Length = 2.0  # [rad/s^2 or m/s^2], likewise
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -6,6 +6,7 @@ two together.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,9 +15,6 @@ import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
-from cvqmpt_lab.robot.arrays import axis_frames, in_link
-from cvqmpt_lab.robot.limits import JointLimits
-from cvqmpt_lab.robot.srdf import LeftOut
 from cvqmpt_lab.robot.urdf import HeldJoint
 
 DIGEST_DECIMALS = 9
@@ -24,17 +22,71 @@ DIGEST_DECIMALS = 9
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """Two links that are not checked against each other."""
+
+    first: str
+    second: str
+    reason: str  # As in an SRDF: Adjacent, Always, Never, or what the file says
+
+
+@dataclass(frozen=True)
 class LinkGeometry:
     """One convex piece of a link."""
 
-    name: str
-    """As in the URDF, e.g. ``panda_link5_0``."""
-    link: int
-    """Pose row that carries it: 0 is the world, j + 1 joint j."""
-    T_link_geometry: np.ndarray
-    """(4, 4)."""
-    vertices: np.ndarray
-    """(n, 3) corners of the hull in the geometry frame [m]."""
+    name: str  # As in the URDF, e.g. ``panda_link5_0``
+    link: int  # Pose row that carries it: 0 is the world, j + 1 joint j
+    T_link_geometry: np.ndarray  # (4, 4)
+    vertices: np.ndarray  # (n, 3) corners of the hull in the geometry frame [m]
+
+
+# How fast joints may move and how hard they may speed up.
+SLOW = 0.1  # of the limits: 0.2 rad/s on the Panda, the pace of first tries on a real arm
+PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2], data sheet; velocities: its URDF
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Largest speed and acceleration of each joint, both directions alike."""
+
+    joint_names: tuple[str, ...]  # n names, for messages
+    velocity: np.ndarray  # (n,) [rad/s or m/s]
+    acceleration: np.ndarray  # (n,) [rad/s^2 or m/s^2]
+
+    def __post_init__(self) -> None:
+        for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
+            values = positive_per_joint(f"{name} limit", getattr(self, name), self.joint_names, unit)
+            object.__setattr__(self, name, values)
+
+    def scaled(self, speed: float) -> "JointLimits":
+        """Both limits times speed, a number above 0 and at most 1."""
+        if not 0.0 < speed <= 1.0:
+            raise InvalidInputError(f"speed factor {speed}: give a number above 0 and at most 1 (full speed)")
+        return JointLimits(self.joint_names, speed * self.velocity, speed * self.acceleration)
+
+
+def positive_per_joint(
+    what: str, values: float | Sequence[float] | np.ndarray, joint_names: Sequence[str], unit: str
+) -> np.ndarray:
+    """Finite positive numbers (n,), one a joint; a single number serves all joints."""
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"{what}s {values!r}: give {len(joint_names)} numbers [{unit}]") from error
+    if array.ndim == 0:
+        array = np.full(len(joint_names), float(array))
+    if array.shape != (len(joint_names),):
+        names = ", ".join(joint_names)
+        raise InvalidInputError(
+            f"{what}s have shape {array.shape}: give {len(joint_names)} numbers [{unit}], one each for {names}"
+        )
+    for name, value in zip(joint_names, array, strict=True):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InvalidInputError(
+                f"{what} {value} of joint {name!r}: give a finite number above 0 [{unit}]"
+            )
+    array.flags.writeable = False
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,30 +96,20 @@ class Robot:
     Build it with `panda`, `load_robot` or `with_articulated_object`.
     """
 
-    name: str
-    """Name of the model."""
-    source: dict
-    """What a problem file says to get this robot back."""
-    model: pin.Model
-    """Of pinocchio."""
-    collision_model: pin.GeometryModel
-    """Of pinocchio; meshes replaced by their convex hulls."""
-    end_effector: str
-    """Frame whose pose constraints and goals speak of."""
+    name: str  # Name of the model
+    source: dict  # What a problem file says to get this robot back
+    model: pin.Model  # Of pinocchio
+    collision_model: pin.GeometryModel  # Of pinocchio; meshes replaced by their convex hulls
+    end_effector: str  # Frame whose pose constraints and goals speak of
     end_effector_link: tuple[int, np.ndarray]
     """Pose row that carries the end effector, and T_link_frame (4, 4)."""
-    kinematics: Kinematics
-    """Plain arrays for the kernels."""
-    links: tuple[LinkGeometry, ...]
-    """Convex pieces."""
-    self_collision_pairs: tuple[tuple[int, int], ...]
-    """Indices into `links` of the pairs that are checked."""
+    kinematics: Kinematics  # Plain arrays for the kernels
+    links: tuple[LinkGeometry, ...]  # Convex pieces
+    self_collision_pairs: tuple[tuple[int, int], ...]  # Indices into `links` of the pairs that are checked
     left_out_pairs: tuple[LeftOut, ...] = ()
     """Pairs of links that are not checked against each other, and why."""
-    held_joints: tuple[HeldJoint, ...] = ()
-    """Joints of the URDF that planning does not move."""
-    acceleration_limits: np.ndarray | None = None
-    """(n,) [rad/s^2 or m/s^2], or None where nobody gave them."""
+    held_joints: tuple[HeldJoint, ...] = ()  # Joints of the URDF that planning does not move
+    acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None where nobody gave them
     _data: pin.Data = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -171,3 +213,46 @@ class Robot:
     def random_configurations(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Uniform configurations (count, n) inside the limits."""
         return rng.uniform(self.lower, self.upper, (count, self.dof))
+
+
+# From pinocchio's model to the plain arrays of the kernels, in joint frames whose z is the joint axis.
+def axis_frames(model: pin.Model) -> list[np.ndarray]:
+    """Per pose row, the rotation (3, 3) that turns pinocchio's joint frame so that its z is the joint axis."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    frames = [np.eye(3)]
+    for j in range(1, model.njoints):
+        jacobian = pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL)
+        motion = jacobian.reshape(6, -1)[:, j - 1]  # of one joint, pinocchio gives a vector
+        axis = motion[3:] if np.linalg.norm(motion[3:]) > 0.5 else motion[:3]
+        z = np.array([0.0, 0.0, 1.0])
+        frames.append(pin.Quaternion.FromTwoVectors(z, axis).toRotationMatrix())
+    return frames
+
+
+def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
+    """Plain arrays of a model, in joint frames whose z is the joint axis."""
+    n = model.nq
+    parent = np.array([model.parents[j + 1] for j in range(n)], dtype=np.int64)
+    placements = [model.jointPlacements[j + 1] for j in range(n)]
+    moves = np.zeros((n, n + 1), dtype=bool)
+    for k in range(1, n + 1):
+        for j in model.supports[k]:
+            if j > 0:
+                moves[j - 1, k] = True
+    return Kinematics(
+        parent=parent,
+        rotation=np.array([frames[parent[j]].T @ placements[j].rotation @ frames[j + 1] for j in range(n)]),
+        translation=np.array([frames[parent[j]].T @ placements[j].translation for j in range(n)]),
+        prismatic=np.array([j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]),
+        lower=np.array(model.lowerPositionLimit),
+        upper=np.array(model.upperPositionLimit),
+        moves=moves,
+    )
+
+
+def in_link(frames: list[np.ndarray], joint: int, placement: pin.SE3) -> tuple[int, np.ndarray]:
+    """Pose row and (4, 4) placement of something that pinocchio attaches to a joint."""
+    T = placement.homogeneous
+    T[:3] = frames[joint].T @ T[:3]
+    return int(joint), T

@@ -6,6 +6,7 @@ an SRDF to the user's cache folder, from which `cvqmpt robot --srdf-out` copies 
 """
 
 import hashlib
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -15,26 +16,19 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import cache_folder, make_folder, write_text
+from cvqmpt_lab.files import cache_folder, make_folder, read_text, write_text
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, link_poses
-from cvqmpt_lab.robot.robot import LinkGeometry
-from cvqmpt_lab.robot.srdf import LeftOut, read_srdf, srdf_text
+from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry
 
-SAMPLES = 2000
-"""Random configurations that decide."""
-NEAR = 0.02
-"""[m] A pair that comes so near in one of them is checked."""
+SAMPLES = 2000  # Random configurations that decide
+NEAR = 0.02  # [m] A pair that comes so near in one of them is checked
 ALWAYS = 0.95
 """Share of them in which the hulls of two links overlap that overlap by how they were drawn, not posed."""
-SPREAD = 0.15
-"""By which the share among `CHUNK` of them may be smaller: five standard deviations."""
-CHUNK = 50
-"""Configurations after which pairs that are decided are dropped."""
-VERSION = b"3"
-"""Of the rule: another number forgets what is in the cache."""
+SPREAD = 0.15  # By which the share among `CHUNK` of them may be smaller: five standard deviations
+CHUNK = 50  # Configurations after which pairs that are decided are dropped
+VERSION = b"3"  # Of the rule: another number forgets what is in the cache
 
-Pair = tuple[str, str]
-"""Names of two links."""
+Pair = tuple[str, str]  # Names of two links
 
 
 def left_out_pairs(
@@ -154,12 +148,9 @@ class _Sampling:
 
     model: pin.Model
     geometry: pin.GeometryModel
-    pieces: Mapping[str, list[int]]
-    """Indices of the pieces of each link."""
-    states: np.ndarray
-    """(k, n) [rad or m]."""
-    balls: tuple[np.ndarray, np.ndarray]
-    """Of `_balls`: what is far apart need not be looked at closely."""
+    pieces: Mapping[str, list[int]]  # Indices of the pieces of each link
+    states: np.ndarray  # (k, n) [rad or m]
+    balls: tuple[np.ndarray, np.ndarray]  # Of `_balls`: what is far apart need not be looked at closely
 
     def close(self, pairs: Sequence[Pair], rows: np.ndarray, margin: float) -> dict[Pair, np.ndarray]:
         """Whether each pair of links is closer than a margin [m], in each of the states `rows`."""
@@ -183,3 +174,30 @@ class _Sampling:
                 if not hit[owner[k]]:
                     hit[owner[k]] = pin.computeCollision(tested, tested_data, k)
         return dict(zip(pairs, hits.T, strict=True))
+
+
+# SRDF files: pairs of links that are not checked against each other.
+def read_srdf(path: Path) -> tuple[LeftOut, ...]:
+    """The pairs that an SRDF file leaves out; InvalidInputError names a file that is none."""
+    text = read_text(path, "SRDF file")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InvalidInputError(f"cannot read SRDF file {path}: {error}") from error
+    if root.tag != "robot":
+        raise InvalidInputError(f"SRDF file {path} has the root <{root.tag}>, not <robot>")
+    return tuple(
+        LeftOut(item.get("link1", ""), item.get("link2", ""), item.get("reason", "left out by the SRDF"))
+        for item in root.findall("disable_collisions")
+    )
+
+
+def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:
+    """An SRDF file that leaves out these pairs."""
+    robot = ElementTree.Element("robot", name=name)
+    for pair in pairs:
+        ElementTree.SubElement(
+            robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason
+        )
+    ElementTree.indent(robot)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'

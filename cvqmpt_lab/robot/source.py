@@ -1,6 +1,9 @@
 """What a problem file says of its robot: a name or a URDF, and what of it is to be planned for."""
 
-from collections.abc import Mapping
+import os
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,13 +12,11 @@ from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.codec.plain import from_plain, mapping
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import Pose
-from cvqmpt_lab.robot.named import ARMS, FINGER_OPENING
-from cvqmpt_lab.robot.packages import example_robots
+from cvqmpt_lab.robot.robot import PANDA_ACCELERATION
 
 ARTICULATED = "articulated"
 FILES = ("urdf", "srdf")
-WHERE = "robot"
-"""How errors call field 'robot' of a problem file."""
+WHERE = "robot"  # How errors call field 'robot' of a problem file
 
 
 class PerJoint:
@@ -42,36 +43,28 @@ class RobotOptions:
 
     srdf: str | None = None
     """File with the link pairs to skip; None: they are found by sampling, unless an arm with a name brings one."""
-    locked: Mapping[str, float] = field(default_factory=dict)
-    """Joints to fix, with their values [rad or m]."""
-    package_dirs: tuple[str, ...] = ()
-    """Folders in which ``package://`` mesh paths are looked up first."""
+    locked: Mapping[str, float] = field(default_factory=dict)  # Joints to fix, with their values [rad or m]
+    package_dirs: tuple[str, ...] = ()  # Folders in which ``package://`` mesh paths are looked up first
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
     """(n,), or () for all joints alike [rad/s^2 or m/s^2]; only timing a path needs them."""
-    base: Pose | None = None
-    """(4, 4), pose of the URDF's base link in the world; None: at its origin."""
+    base: Pose | None = None  # (4, 4), pose of the URDF's base link in the world; None: at its origin
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UrdfRobot(RobotOptions):
     """A robot of a URDF file."""
 
-    urdf: str
-    """The robot's description."""
-    end_effector: str
-    """Frame that constraints and goals speak of."""
+    urdf: str  # The robot's description
+    end_effector: str  # Frame that constraints and goals speak of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NamedRobot(RobotOptions):
     """A robot that has a name; what is said beside it counts instead of what the name stands for."""
 
-    name: str
-    """A key of `ARMS`."""
-    end_effector: str | None = None
-    """Frame that constraints and goals speak of, instead of the usual one."""
-    finger_opening: float | None = None
-    """[m] of each finger of the Panda."""
+    name: str  # A key of `ARMS`
+    end_effector: str | None = None  # Frame that constraints and goals speak of, instead of the usual one
+    finger_opening: float | None = None  # [m] of each finger of the Panda
 
     @property
     def described(self) -> UrdfRobot:
@@ -132,3 +125,124 @@ def read_source(source: Mapping[str, Any]) -> UrdfRobot:
     if "name" not in values:
         raise InvalidInputError(f"{WHERE} needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'")
     return from_plain(NamedRobot, values, WHERE).described
+
+
+# Arms that have a name: fixed-base arms whose descriptions the package example-robot-data installs.
+FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, its largest
+
+
+@dataclass(frozen=True)
+class NamedArm:
+    """Where an arm's description lies, and what of it is an arm."""
+
+    urdf: str  # Path below the package's folder of robots
+    end_effector: str  # Frame that constraints and goals speak of
+    srdf: str | None = None  # Path of the file with the pairs to skip, likewise; None: found by sampling
+    locked: Mapping[str, float] = field(default_factory=dict)
+    """Joints held at other values than the nearest to 0, or between base and end effector [rad or m]."""
+    acceleration_limits: tuple[float, ...] | None = None  # [rad/s^2] of the maker's data sheet
+
+
+UR, XARM, KINOVA = "ur_description", "xarm_description", "kinova_description"
+TALOS = "talos_data/robots/talos_reduced.urdf"
+BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
+STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
+
+ARMS: Mapping[str, NamedArm] = {
+    "panda": NamedArm(
+        "panda_description/urdf/panda.urdf",
+        "panda_hand",
+        "panda_description/srdf/panda.srdf",
+        {"panda_finger_joint1": FINGER_OPENING, "panda_finger_joint2": FINGER_OPENING},
+        PANDA_ACCELERATION,
+    ),
+    "ur3": NamedArm(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
+    "ur5": NamedArm(f"{UR}/urdf/ur5_robot.urdf", "tool0"),
+    "ur10": NamedArm(f"{UR}/urdf/ur10_robot.urdf", "tool0"),
+    "ur3-limited": NamedArm(f"{UR}/urdf/ur3_joint_limited_robot.urdf", "tool0"),
+    "ur5-limited": NamedArm(f"{UR}/urdf/ur5_joint_limited_robot.urdf", "tool0"),
+    "ur10-limited": NamedArm(f"{UR}/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    "kinova": NamedArm(f"{KINOVA}/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "xarm7": NamedArm(f"{XARM}/urdf/xarm7.urdf", "link_eef", f"{XARM}/srdf/xarm7.srdf"),
+    "z1": NamedArm("z1_description/urdf/z1.urdf", "gripperStator"),
+    "so-arm": NamedArm("so_arm_description/urdf/so100.urdf", "gripper"),
+    "so-arm101": NamedArm("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "tiago": NamedArm("tiago_description/robots/tiago.urdf", "hand_tool_link"),
+    "tiago-no-hand": NamedArm("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
+    "tiago-dual-left": NamedArm("tiago_description/robots/tiago_dual.urdf", "hand_left_palm_link"),
+    "tiago-dual-right": NamedArm("tiago_description/robots/tiago_dual.urdf", "hand_right_palm_link"),
+    "tiago-pro-left": NamedArm("tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link"),
+    "tiago-pro-right": NamedArm("tiago_pro_description/robots/tiago_pro.urdf", "gripper_right_base_link"),
+    "talos-left-arm": NamedArm(TALOS, "gripper_left_base_link", locked=STANDING),
+    "talos-right-arm": NamedArm(TALOS, "gripper_right_base_link", locked=STANDING),
+    "baxter-left": NamedArm("baxter_description/urdf/baxter.urdf", "left_gripper", BAXTER_SRDF),
+    "baxter-right": NamedArm("baxter_description/urdf/baxter.urdf", "right_gripper", BAXTER_SRDF),
+    "pr2-left": NamedArm("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
+    "pr2-right": NamedArm("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
+    "two-dof": NamedArm("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
+    "finger": NamedArm("finger_edu_description/robots/finger_edu.urdf", "finger_tip_link"),
+}
+
+
+# Where the files of a robot lie: its meshes, and the descriptions that example-robot-data installs.
+EXAMPLES = "example-robot-data"
+ROS_VARIABLE = "ROS_PACKAGE_PATH"
+SCHEME = "package://"
+
+
+def example_robots() -> Path:
+    """The folder of robot descriptions that the wheel of example-robot-data installed."""
+    robots = _installed_share() / EXAMPLES / "robots"
+    if not robots.is_dir():
+        raise InvalidInputError(f"robots by name need their descriptions: pip install {EXAMPLES}")
+    return robots
+
+
+def _installed_share() -> Path:
+    """The share folder that holds example-robot-data, whether or not it does."""
+    shares = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path]
+    return next((share for share in shares if (share / EXAMPLES).is_dir()), Path(sys.prefix) / "share")
+
+
+def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]) -> None:
+    """Replace the names of collision meshes in a URDF by absolute paths.
+
+    Raises
+    ------
+    InvalidInputError
+        Naming a mesh that is in none of the places where its package may lie, and these places.
+    """
+    for mesh in root.findall("link/collision/geometry/mesh"):
+        name = mesh.get("filename", "")
+        if not name.startswith(SCHEME):
+            path = urdf.parent / name.removeprefix("file://")
+            if not path.is_file():
+                raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not there: {path} is no file")
+        else:
+            package, _, rest = name.removeprefix(SCHEME).partition("/")
+            path = _in_package(package, rest, urdf, package_dirs)
+        mesh.set("filename", str(path.resolve()))
+
+
+def _in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]) -> Path:
+    for folder in (*package_dirs, *_ros_folders(), *urdf.resolve().parents, _installed_share()):
+        for path in _inside(Path(folder), package, rest):
+            if path.is_file():
+                return path
+    given = ", ".join(str(folder) for folder in package_dirs) or "not given"
+    raise InvalidInputError(
+        f"{urdf.name}: mesh {SCHEME}{package}/{rest} is in none of these places: --package-dir ({given}), "
+        f"{ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders above {urdf.resolve().parent}; "
+        f"give --package-dir DIR, the folder that holds {package}"
+    )
+
+
+def _inside(folder: Path, package: str, rest: str) -> Iterator[Path]:
+    """Where a file of a package may lie, when `folder` holds the package or is it."""
+    yield folder / package / rest
+    if folder.name == package:
+        yield folder / rest
+
+
+def _ros_folders() -> list[Path]:
+    return [Path(folder) for folder in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if folder]

@@ -10,13 +10,13 @@ from functools import cached_property
 from numbers import Real
 from pathlib import Path
 
+from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import read_text, require_regular_file
 
 TURN = 2.0 * math.pi
 """[rad] A continuous joint turns by up to this much either way: a whole turn more would be the same posture."""
-LEAST_ARM = 3
-"""Joints, after which a link that carries several moving ones is taken for a hand."""
+LEAST_ARM = 3  # Joints, after which a link that carries several moving ones is taken for a hand
 OFF_CHAIN = "not between the base and the end effector"
 ASKED = "as asked for"
 
@@ -26,22 +26,14 @@ class Joint:
     """One joint of a URDF."""
 
     name: str
-    kind: str
-    """"revolute", "prismatic", "continuous", "fixed", "floating" or "planar"."""
-    parent: str
-    """Link that it stands on."""
-    child: str
-    """Link that it moves."""
-    lower: float
-    """[rad or m]; NaN where the file states none."""
-    upper: float
-    """[rad or m]; NaN where the file states none."""
-    mimics: str | None
-    """Joint whose value it takes."""
-    multiplier: float
-    """Times the value of that joint."""
-    offset: float
-    """[rad or m] Plus this."""
+    kind: str  # "revolute", "prismatic", "continuous", "fixed", "floating" or "planar"
+    parent: str  # Link that it stands on
+    child: str  # Link that it moves
+    lower: float  # [rad or m]; NaN where the file states none
+    upper: float  # [rad or m]; NaN where the file states none
+    mimics: str | None  # Joint whose value it takes
+    multiplier: float  # Times the value of that joint
+    offset: float  # [rad or m] Plus this
 
     @property
     def hindrance(self) -> str | None:
@@ -66,8 +58,7 @@ class HeldJoint:
     """A joint that planning does not move."""
 
     name: str
-    value: float
-    """[rad or m]"""
+    value: float  # [rad or m]
     reason: str
 
 
@@ -283,3 +274,72 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
         new = {"continuous": "revolute", "floating": "fixed", "planar": "fixed"}
         element.set("type", new.get(kind or "", kind or ""))
     return root
+
+
+# Collision bodies and placements of a URDF, read before the parser that leaves out what it does not understand.
+SIZES: Mapping[str, Mapping[str, int]] = {
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {},
+}
+"""Shapes, with how many positive numbers [m] each of their attributes must be."""
+
+
+def check_bodies(root: ElementTree.Element, path: Path) -> None:
+    """Refuse a link one of whose collision bodies is not understood, as planning would go on without it, and a joint
+    whose origin or axis is none.
+
+    Raises
+    ------
+    InvalidInputError, UnknownChoiceError
+        Naming the link or joint and what is wrong.
+    """
+    for link in root.findall("link"):
+        for body in link.findall("collision"):
+            with located(f"link {shown(link.get('name'))} of {path.name}, collision"):
+                _check_body(body)
+    for joint in root.findall("joint"):
+        with located(f"joint {shown(joint.get('name'))} of {path.name}"):
+            _check_origins(joint)
+            for axis in joint.findall("axis") if joint.get("type") != "fixed" else ():
+                if not any(_numbers(axis, "xyz", 3)):
+                    raise InvalidInputError("its axis is 0 0 0; give a direction")
+
+
+def _check_body(body: ElementTree.Element) -> None:
+    shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
+    if len(shapes) != 1:
+        raise InvalidInputError(
+            f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(SIZES)}"
+        )
+    shape = shapes[0]
+    if shape.tag not in SIZES:
+        raise UnknownChoiceError("shape", shape.tag, SIZES)
+    for name, count in SIZES[shape.tag].items():
+        sizes = _numbers(shape, name, count)
+        if not all(size > 0.0 for size in sizes):
+            raise InvalidInputError(f"{name} of its {shape.tag} is {sizes}; give more than 0 [m]")
+    if shape.get("scale") is not None and 0.0 in _numbers(shape, "scale", 3):
+        raise InvalidInputError("scale of its mesh is 0; give other numbers")
+    _check_origins(body)
+
+
+def _check_origins(element: ElementTree.Element) -> None:
+    for origin in element.findall("origin"):
+        for name in set(origin.keys()) & {"xyz", "rpy"}:
+            _numbers(origin, name, 3)
+
+
+def _numbers(element: ElementTree.Element, name: str, count: int) -> list[float]:
+    """So many finite numbers of an attribute."""
+    text = element.get(name, "")
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)) or "_" in text:
+        raise InvalidInputError(
+            f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite numbers"
+        )
+    return numbers

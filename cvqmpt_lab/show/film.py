@@ -1,4 +1,4 @@
-"""Moving pictures: a solution as a gif, or as an mp4 where ffmpeg is installed."""
+"""Films of a solution or of a whole task: a gif, or an mp4 where ffmpeg is installed."""
 
 import shutil
 import subprocess
@@ -12,24 +12,31 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.show.framing import clear_viewpoint
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (
     GOAL_COLOUR,
     LOAD_COLOUR,
     ROBOT_COLOUR,
     TRACE_COLOUR,
+    Mesh,
     beads,
+    colour_of,
     joined,
     poses_along,
+    rasterise,
     robot_meshes,
     scene_meshes,
+    shape_mesh,
 )
-from cvqmpt_lab.show.rasteriser import rasterise
-from cvqmpt_lab.show.still import HIDDEN, Layer, blend, eight_bit, stage_of, with_load
+from cvqmpt_lab.show.picture import HIDDEN, NAME_LETTERS, Layer, blend, eight_bit, stage_of, with_load
+from cvqmpt_lab.show.stage import clear_viewpoint
+from cvqmpt_lab.show.task_frames import Frame, frames, moving_poses, shown
+from cvqmpt_lab.tasks.solve_task import TaskSolution
 
 FRAMES = 48  # of one path
-LOOKS = 6  # of its states that must be seen well
+VIEWS = 6  # of its states that must be seen well
+TASK_FRAMES = 110  # of a whole task, however long it takes
+TASK_VIEWS = 8  # of them that must be seen well
 RATE = 14  # frames a second
 REST = 10  # frames that the last one is shown for
 COLOURS, PALETTE_FRAMES = 128, 6  # of a gif, and the frames that they are chosen for
@@ -58,7 +65,7 @@ def _frames(solution: Solution, size: tuple[int, int], carried: Sequence[Attachm
     problem = with_load(solution.problem, carried)
     path = None if solution.simplified is None else solution.simplified.path
     states = problem.start[None] if path is None else path.spaced(path.length / FRAMES)
-    arms = [joined(robot_meshes(problem, q, ROBOT_COLOUR)) for q in states[:: max(1, len(states) // LOOKS)]]
+    arms = [joined(robot_meshes(problem, q, ROBOT_COLOUR)) for q in states[:: max(1, len(states) // VIEWS)]]
     viewpoint = clear_viewpoint([joined(arms)], scene_meshes(problem, HIDDEN), size)
     stage = stage_of(problem, viewpoint, size)
     layers = [
@@ -128,3 +135,39 @@ def _write_mp4(frames: Sequence[np.ndarray], path: Path) -> None:
 
 WRITERS: Mapping[str, Callable[[Sequence[np.ndarray], Path], None]] = {".gif": _write_gif, ".mp4": _write_mp4}
 """How a film is written, by the suffix of its file."""
+
+
+def film_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> None:
+    """Write a film of a task, the name of the phase below; its suffix chooses between gif and mp4.
+
+    size: width and height [pixels], without the name.
+
+    Raises
+    ------
+    InvalidInputError: nothing was solved, or see `check_film`.
+    """
+    every = list(frames(solution))
+    if not every:
+        raise InvalidInputError(f"nothing to show of task {solution.task.name}: {solution.failure}")
+    chosen = [every[k] for k in np.linspace(0, len(every) - 1, min(TASK_FRAMES, len(every))).astype(int)]
+    scene = solution.task.scene
+    moving = moving_poses(scene.names, chosen)
+    first = shown(chosen[0].world)
+    arms = [joined(_arm(frame)) for frame in chosen[:: max(1, len(chosen) // TASK_VIEWS)]]
+    viewpoint = clear_viewpoint([joined(arms)], scene_meshes(first, HIDDEN), size)
+    stage = stage_of(first, viewpoint, size, (*HIDDEN, *moving))
+    pictures = []
+    for k, frame in enumerate(chosen):
+        items = [
+            shape_mesh(scene[name].shape).placed(poses[k], colour_of(name)) for name, poses in moving.items()
+        ]
+        picture = eight_bit(stage.picture([*_arm(frame), *items]).image)
+        caption = Strip([Label(frame.phase)], size[0], NAME_LETTERS).image()
+        pictures.append(np.concatenate([picture, caption]))
+    save_film(pictures, path)
+
+
+def _arm(frame: Frame) -> list[Mesh]:
+    """The arm without what it carries."""
+    problem = shown(frame.world)
+    return robot_meshes(problem, frame.world.q, ROBOT_COLOUR)[: len(problem.robot.links)]

@@ -19,8 +19,7 @@ class Label:
     """A word of a legend."""
 
     text: str
-    colour: Colour | None = None
-    """Of the swatch before it; None for words alone."""
+    colour: Colour | None = None  # Of the swatch before it; None for words alone
 
 
 @dataclass(frozen=True)
@@ -28,10 +27,8 @@ class Placed:
     """A label in its place on a strip."""
 
     label: Label
-    x: float
-    """Left end [pixels]."""
-    line: int
-    """From 0."""
+    x: float  # Left end [pixels]
+    line: int  # From 0
 
 
 class Strip:

@@ -1,8 +1,9 @@
-"""Showing a solution in rerun: scene, robot, trees, paths and plots. With task_recording.py the only door to rerun.
+"""Showing a solution in rerun: scene, robot, trees, paths and plots. The only module that imports rerun.
 
 Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/path``, ``world/robot`` (moving along the path),
 ``trees`` (growing) and ``plots``. The timeline "path_state" counts the states of the path shown, "vertices" those
-of the trees as they grow.
+of the trees as they grow. A whole task has ``world/scene`` (what stands still), ``world/moving`` (parts of
+doors, carried objects), ``world/robot`` and ``phase``, a log; its timeline "task_time" is execution time [s].
 """
 
 import tempfile
@@ -21,6 +22,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Shape, Sphere
+from cvqmpt_lab.show.curves import Plot, plots_along
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
     GOAL_COLOUR,
@@ -35,12 +37,14 @@ from cvqmpt_lab.show.meshes import (
     map_boxes,
     poses_along,
 )
-from cvqmpt_lab.show.plots import Plot, plots_along
-from cvqmpt_lab.show.still import with_load
+from cvqmpt_lab.show.picture import with_load
+from cvqmpt_lab.show.task_frames import Frame, frames, moving_poses, piece_poses
 from cvqmpt_lab.show.viewer import check_viewer, open_viewer
+from cvqmpt_lab.tasks.solve_task import TaskSolution
 
 TIMELINE = "path_state"
 GROWTH = "vertices"
+TASK_TIMELINE = "task_time"
 GROWTH_STEPS = 60  # in which trees are shown growing
 GOALS_SHOWN = 3
 GHOST_OPACITY = 0.35
@@ -279,3 +283,50 @@ def mesh_archetype(mesh: Mesh, colour: Colour, opacity: float = 1.0) -> rr.Mesh3
         vertex_normals=mesh.normals.reshape(-1, 3),
         albedo_factor=_rgba(colour, opacity),
     )
+
+
+def log_task(solution: TaskSolution, save: Path) -> None:
+    """Write a task to a .rrd file; works without a display.
+
+    Raises
+    ------
+    InvalidInputError: nothing was solved, or the file cannot be written.
+    """
+    shown = list(frames(solution))
+    if not shown:
+        raise InvalidInputError(f"nothing to show of task {solution.task.name}: {solution.failure}")
+    eye = rrb.EyeControls3D(position=(-1.35, -1.75, 1.55), look_target=(0.3, -0.2, 0.5), eye_up=(0, 0, 1))
+    blueprint = rrb.Blueprint(
+        rrb.Spatial3DView(origin="world", name="world", eye_controls=eye),
+        rrb.TimePanel(timeline=TASK_TIMELINE),
+        collapse_panels=True,
+    )
+    save_recording(Path(save), blueprint, lambda recording: _log_task(recording, solution, shown))
+
+
+def _log_task(recording: rr.RecordingStream, solution: TaskSolution, shown: list[Frame]) -> None:
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    first = solution.task.scene
+    moving = moving_poses(first.names, shown)
+    log_scene(recording, first.without(*moving))
+    times = np.array([frame.time for frame in shown])
+    for name, poses in moving.items():
+        entity = rr.new_entity_path(["world", "moving", *name.split("/")])
+        recording.log(entity, object_archetype(first[name]), static=True)
+        _send_poses(recording, entity, times, poses)
+    for piece, poses in piece_poses(shown).items():
+        entity = rr.new_entity_path(["world", "robot", piece])
+        vertices = next(part.vertices for part in shown[0].world.arm.links if part.name == piece)
+        recording.log(entity, mesh_archetype(hull_mesh(vertices), ROBOT_COLOUR), static=True)
+        _send_poses(recording, entity, times, poses)
+    names = [frame.phase for frame in shown]
+    for k, name in enumerate(names):
+        if k == 0 or name != names[k - 1]:
+            recording.set_time(TASK_TIMELINE, duration=times[k])
+            recording.log("phase", rr.TextLog(name))
+
+
+def _send_poses(recording: rr.RecordingStream, entity: str, times: np.ndarray, poses: np.ndarray) -> None:
+    """Poses (k, 4, 4) of an entity at times (k,) [s]."""
+    columns = rr.Transform3D.columns(translation=poses[:, :3, 3], mat3x3=poses[:, :3, :3])
+    recording.send_columns(entity, [rr.TimeColumn(TASK_TIMELINE, duration=times)], columns)

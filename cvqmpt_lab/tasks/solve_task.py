@@ -17,9 +17,8 @@ from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planning.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.tasks.goals import following, phase_goals, prepare, world_before
-from cvqmpt_lab.tasks.phases import Move, PlannedPhase
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.phase_goals import following, phase_goals, prepare, world_before
+from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import Trajectory
@@ -34,17 +33,13 @@ class PhaseOutcome:
     """What came of a planned phase."""
 
     phase: PlannedPhase
-    world: World
-    """Before the phase."""
+    world: World  # Before the phase
     attempts: tuple[Solution, ...]
     """One after another, the last one counts; after earlier ones the task went back to another grasp."""
-    trajectory: Trajectory | None = None
-    """Of the last attempt, when it is certified."""
+    trajectory: Trajectory | None = None  # Of the last attempt, when it is certified
     timing_seconds: float = 0.0
-    fallback: str = ""
-    """Why another method than the one asked for was used, or ""."""
-    reason: str = ""
-    """Why the phase failed, or ""."""
+    fallback: str = ""  # Why another method than the one asked for was used, or ""
+    reason: str = ""  # Why the phase failed, or ""
 
     @property
     def solution(self) -> Solution:
@@ -62,10 +57,8 @@ class TaskSolution:
     """What came of a task."""
 
     task: Task
-    outcomes: tuple[PhaseOutcome, ...]
-    """Of the planned phases in order, up to the first that failed."""
-    world: World
-    """At the end."""
+    outcomes: tuple[PhaseOutcome, ...]  # Of the planned phases in order, up to the first that failed
+    world: World  # At the end
 
     @property
     def solved(self) -> bool:

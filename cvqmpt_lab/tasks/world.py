@@ -17,8 +17,7 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import TakenOut, take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Turn
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
 
 IN_HAND = 0.02  # [m] an object may be from where a grasp expects it
 
@@ -27,36 +26,27 @@ IN_HAND = 0.02  # [m] an object may be from where a grasp expects it
 class Load:
     """A carried object."""
 
-    item: SceneObject
-    """As it stood in the scene."""
-    T_hand_object: np.ndarray
-    """(4, 4), where it is in the hand [m]."""
-    attachment: Attachment
-    """What is checked of it."""
+    item: SceneObject  # As it stood in the scene
+    T_hand_object: np.ndarray  # (4, 4), where it is in the hand [m]
+    attachment: Attachment  # What is checked of it
 
 
 @dataclass(frozen=True)
 class HeldDoor:
     """A door or drawer in the hand."""
 
-    name: str
-    """Of the scene's articulation."""
-    may_touch: tuple[tuple[str, str], ...]
-    """(Robot piece, part of the door) pairs that touch."""
+    name: str  # Of the scene's articulation
+    may_touch: tuple[tuple[str, str], ...]  # (Robot piece, part of the door) pairs that touch
 
 
 @dataclass(frozen=True, eq=False)
 class World:
     """One moment of a task."""
 
-    source: Mapping[str, Any]
-    """Of the arm's robot, with the gripper as it is now."""
-    scene: Scene
-    """Without what is carried, doors at their values."""
-    q: np.ndarray
-    """(n,), the arm [rad or m]."""
-    held: Load | HeldDoor | None = None
-    """What the hand holds."""
+    source: Mapping[str, Any]  # Of the arm's robot, with the gripper as it is now
+    scene: Scene  # Without what is carried, doors at their values
+    q: np.ndarray  # (n,), the arm [rad or m]
+    held: Load | HeldDoor | None = None  # What the hand holds
 
     @staticmethod
     def before(task: Task) -> "World":

@@ -19,7 +19,7 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.orphans import end_with_parent
+from cvqmpt_lab.processes import end_with_parent
 from cvqmpt_lab.training.interrupts import interruptible
 from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.run_folder import Progress, RunFolder

@@ -31,14 +31,10 @@ REFINEMENTS = 40
 class SmoothCurve:
     """A twice continuously differentiable curve from 0 to `length` [rad or m], about arc length."""
 
-    spline: BSpline
-    """q(s) (n,) [rad or m]."""
-    knots: np.ndarray
-    """(k,) distinct knots [rad]."""
-    deviation: float
-    """Largest distance measured between q(s) and the polyline at s [rad]."""
-    marks: np.ndarray
-    """(m,) where the waypoints lie [rad]."""
+    spline: BSpline  # q(s) (n,) [rad or m]
+    knots: np.ndarray  # (k,) distinct knots [rad]
+    deviation: float  # Largest distance measured between q(s) and the polyline at s [rad]
+    marks: np.ndarray  # (m,) where the waypoints lie [rad]
 
     @cached_property
     def grid(self) -> np.ndarray:

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from cvqmpt_lab.files import write_bytes
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.show.rasteriser import Viewpoint
-from cvqmpt_lab.show.still import still_image
+from cvqmpt_lab.show.meshes import Viewpoint
+from cvqmpt_lab.show.picture import still_image
 from experiments.figures.code_update import FAR, NEAR
 from experiments.figures.hand_poses import HandPoses
 from experiments.figures.histogram import CodeChange

@@ -22,8 +22,7 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.tasks.phases import Grasp, Hold, Move, Release, Slide, Turn
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 from experiments.suites.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
 from experiments.suites.place_task import DOOR, SHELF_LINK, carried_can, grasp_region
 

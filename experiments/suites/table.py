@@ -8,7 +8,7 @@ from typing import TypeAlias
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import SLOW
+from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.tasks.task import Task

@@ -18,9 +18,9 @@ from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder
-from cvqmpt_lab.tasks.goals import phase_problems
-from cvqmpt_lab.trajectory.export import as_csv, as_ros_json
+from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
 from experiments.run import Experiment, executor_for, run_experiment
 from experiments.suites.place_task import DOOR
 

@@ -1,8 +1,7 @@
 """`cvqmpt plan --task-file`."""
 
 from cli.main import main
-from cvqmpt_lab.tasks.phases import PlannedPhase
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.suites.multi_sequence import multi_sequence_task
 
 

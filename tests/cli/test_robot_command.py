@@ -8,8 +8,8 @@ from PIL import Image
 
 from cli.main import main
 from cvqmpt_lab.robot.loading import load_robot
-from cvqmpt_lab.robot.named import ARMS
-from cvqmpt_lab.robot.srdf import read_srdf
+from cvqmpt_lab.robot.self_collision import read_srdf
+from cvqmpt_lab.robot.source import ARMS
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from PIL import Image
 from properties.random_arms import random_urdf
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.dry_run import dry_run
+from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
@@ -39,9 +39,9 @@ from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.trajectory.export import save_trajectory
-from cvqmpt_lab.trajectory.reading import read_motion
 from cvqmpt_lab.trajectory.timing import time_path
+from cvqmpt_lab.trajectory.trajectory import save_trajectory
+from cvqmpt_lab.trajectory.trajectory_files import read_motion
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.weights import read_model
 from paper_tables.render import render_directory

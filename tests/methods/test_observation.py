@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab import kept
+from cvqmpt_lab import disk_cache as kept
+from cvqmpt_lab.disk_cache import kept_arrays
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kept import kept_arrays
 from cvqmpt_lab.methods import observation
 from cvqmpt_lab.methods.method import Method, Stages
 from cvqmpt_lab.methods.observation import Observer, shown

@@ -18,7 +18,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
-from cvqmpt_lab.robot.srdf import LeftOut
+from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere

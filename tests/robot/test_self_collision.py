@@ -6,8 +6,8 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
-from cvqmpt_lab.robot.self_collision import NEAR, cache_file
-from cvqmpt_lab.robot.srdf import LeftOut, read_srdf, srdf_text
+from cvqmpt_lab.robot.robot import LeftOut
+from cvqmpt_lab.robot.self_collision import NEAR, cache_file, read_srdf, srdf_text
 
 TOOL = 'size="0.02 0.06 0.02"'
 

@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.robot.loading import MOST_REACH, robot_from_source
-from cvqmpt_lab.robot.named import ARMS
+from cvqmpt_lab.robot.source import ARMS
 
 
 @pytest.mark.parametrize(

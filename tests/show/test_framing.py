@@ -5,8 +5,8 @@ import pytest
 
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.shapes import Box, Sphere
-from cvqmpt_lab.show.framing import AZIMUTHS, clear_viewpoint, framed
 from cvqmpt_lab.show.meshes import shape_mesh
+from cvqmpt_lab.show.stage import AZIMUTHS, clear_viewpoint, framed
 
 SIZE = (300, 200)
 WHITE = (1.0, 1.0, 1.0)

@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.planning.result import JointPath
-from cvqmpt_lab.show.plots import bound_plots, clearance_plot, plots_along
+from cvqmpt_lab.show.curves import bound_plots, clearance_plot, plots_along
 
 
 def test_tilt_beyond_its_bounds_is_the_certificates_violation(problem):

@@ -5,8 +5,7 @@ import pytest
 
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.shapes import Box, Sphere
-from cvqmpt_lab.show.meshes import joined, shape_mesh
-from cvqmpt_lab.show.rasteriser import Viewpoint, rasterise
+from cvqmpt_lab.show.meshes import Viewpoint, joined, rasterise, shape_mesh
 
 
 def test_rasterised_ball_has_the_right_place_size_and_depth():

@@ -12,8 +12,8 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planning.result import Counters, PlanResult, PlanStatus
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.show.picture import draw_solution
 from cvqmpt_lab.show.recording import GROWTH, TIMELINE, log_solution
-from cvqmpt_lab.show.still import draw_solution
 from experiments.suites.place_task import carried_can
 
 

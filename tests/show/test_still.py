@@ -8,9 +8,8 @@ from matplotlib.image import imread
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.show.labels import Label, Strip
-from cvqmpt_lab.show.meshes import GOAL_COLOUR, ROBOT_COLOUR
-from cvqmpt_lab.show.rasteriser import Viewpoint
-from cvqmpt_lab.show.still import draw_solution
+from cvqmpt_lab.show.meshes import GOAL_COLOUR, ROBOT_COLOUR, Viewpoint
+from cvqmpt_lab.show.picture import draw_solution
 from experiments.suites.place_task import carried_can
 
 

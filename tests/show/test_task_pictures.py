@@ -4,34 +4,33 @@ from matplotlib.image import imread
 from PIL import Image
 from rerun.chunk import RrdReader
 
-from cvqmpt_lab.show import task_film
-from cvqmpt_lab.show import task_recording as task_viewer
+from cvqmpt_lab.show import film, task_frames
 from cvqmpt_lab.show.labels import Label, Strip
-from cvqmpt_lab.show.task_film import film_task
-from cvqmpt_lab.show.task_still import NAME_LETTERS, draw_task
+from cvqmpt_lab.show.picture import NAME_LETTERS, draw_task
+from cvqmpt_lab.show.recording import TASK_TIMELINE, log_task
 from experiments.suites.multi_sequence import CAN_NAME
 from experiments.suites.place_task import DOOR
 
 
 def test_pictures_and_recording(task_solution, tmp_path, monkeypatch):
     phases = [outcome.phase.name for outcome in task_solution.outcomes]
-    monkeypatch.setattr(task_viewer, "PERIOD", 1.0)
-    monkeypatch.setattr(task_film, "FRAMES", 8)
+    monkeypatch.setattr(task_frames, "PERIOD", 1.0)
+    monkeypatch.setattr(film, "TASK_FRAMES", 8)
     names = draw_task(task_solution, tmp_path / "task.png", size=(60, 40))
     assert names == ["start", *phases]
     height = 40 + Strip([Label("1  start")], 60, NAME_LETTERS).height
     assert imread(tmp_path / "task.png").shape[:2] == (2 * height + 6, 3 * 60 + 2 * 6)
-    film_task(task_solution, tmp_path / "task.gif", size=(60, 40))
-    with Image.open(tmp_path / "task.gif") as film:
-        assert film.n_frames > len(phases)
-    task_viewer.log_task(task_solution, tmp_path / "task.rrd")
+    film.film_task(task_solution, tmp_path / "task.gif", size=(60, 40))
+    with Image.open(tmp_path / "task.gif") as moving:
+        assert moving.n_frames > len(phases)
+    log_task(task_solution, tmp_path / "task.rrd")
     moments: dict[str, int] = {}
     for chunk in RrdReader(tmp_path / "task.rrd").stream():
-        if task_viewer.TIMELINE in chunk.timeline_names:
+        if TASK_TIMELINE in chunk.timeline_names:
             moments[chunk.entity_path] = moments.get(chunk.entity_path, 0) + chunk.num_rows
     assert moments.pop("/phase") == len(task_solution.task.phases)
     assert f"/world/moving/{CAN_NAME}" in moments and f"/world/moving/{DOOR}/handle_bar" in moments
     assert "/world/robot/panda_leftfinger_0" in moments and "/world/moving/mustard_bottle" not in moments
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
-    assert set(moments.values()) == {len(list(task_viewer.frames(task_solution)))}
-    assert min(moments.values()) > duration / task_viewer.PERIOD
+    assert set(moments.values()) == {len(list(task_frames.frames(task_solution)))}
+    assert min(moments.values()) > duration / task_frames.PERIOD

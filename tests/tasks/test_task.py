@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.tasks.phases import Grasp, Release
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
 from experiments.suites.place_task import carried_can
 

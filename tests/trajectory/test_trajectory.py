@@ -19,14 +19,14 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import JointLimits
 from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
+from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.trajectory import speed_profile, timing
+from cvqmpt_lab.trajectory import timing
+from cvqmpt_lab.trajectory import timing as speed_profile
 from cvqmpt_lab.trajectory.curve import smooth_curve
-from cvqmpt_lab.trajectory.export import save_trajectory
-from cvqmpt_lab.trajectory.speed_profile import squared_speeds
-from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from cvqmpt_lab.trajectory.timing import TimingSettings, squared_speeds, time_path
+from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 from experiments.trust.differential import toppra_duration
 

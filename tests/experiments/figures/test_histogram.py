@@ -13,8 +13,8 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import codebook_of
 from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.show.rasteriser import Viewpoint
-from cvqmpt_lab.show.still import still_image
+from cvqmpt_lab.show.meshes import Viewpoint
+from cvqmpt_lab.show.picture import still_image
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import drawing

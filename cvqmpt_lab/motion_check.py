@@ -11,33 +11,28 @@ from cvqmpt_lab.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.exact_shapes import reach_with
-from cvqmpt_lab.trajectory.reading import Motion
 from cvqmpt_lab.trajectory.trajectory import Trajectory
+from cvqmpt_lab.trajectory.trajectory_files import Motion
 
-FLAT = 1e-6
-"""[rad or m] that a joint's cubic may leave the straight pieces it is certified by."""
+FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
 """Share by which limits may be passed: a motion that `time_path` timed to its limits bends up to 4 % harder in cubic
 pieces, which know only its positions and velocities, than the accelerations that it states."""
 MOST_PIECES = 100_000
-HARDEST = 1e3
-"""Times its limit that a joint may accelerate to be followed: beyond it, units are wrong."""
+HARDEST = 1e3  # Times its limit that a joint may accelerate to be followed: beyond it, units are wrong
 
 
 @dataclass(frozen=True, eq=False)
 class DryRun:
     """What was found."""
 
-    certificate: Certificate
-    """With the faults of the dry run; places are numbers of `states`."""
+    certificate: Certificate  # With the faults of the dry run; places are numbers of `states`
     states: np.ndarray
     """(m, n) [rad or m] that were certified: of a trajectory, straight pieces within FLAT of it."""
-    times: np.ndarray | None = None
-    """(m,) of the states [s], or None for a path."""
-    apart: float = 0.0
-    """How far the motion may be from the straight pieces at any point of the robot [m]."""
+    times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
+    apart: float = 0.0  # How far the motion may be from the straight pieces at any point of the robot [m]
 
 
 def dry_run(

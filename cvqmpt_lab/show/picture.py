@@ -16,7 +16,6 @@ from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.show.framing import AZIMUTHS, clear_viewpoint, framed
 from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
@@ -25,20 +24,27 @@ from cvqmpt_lab.show.meshes import (
     ROBOT_COLOUR,
     TRACE_COLOUR,
     Mesh,
+    View,
+    Viewpoint,
     beads,
     ground_height,
     joined,
     poses_along,
+    rasterise,
     robot_meshes,
     scene_meshes,
     travelled_along,
 )
-from cvqmpt_lab.show.rasteriser import View, Viewpoint, rasterise
-from cvqmpt_lab.show.stage import Picture, Stage, light
+from cvqmpt_lab.show.stage import AZIMUTHS, Picture, Stage, clear_viewpoint, framed, light
+from cvqmpt_lab.show.task_frames import moments, shown
+from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.task import PlannedPhase
+from cvqmpt_lab.tasks.world import World
 
 SUPERSAMPLING = 2
-HIDDEN = ("walls/right",)
-"""Scene objects that stand between the usual viewpoint and the robot."""
+HIDDEN = ("walls/right",)  # Scene objects that stand between the usual viewpoint and the robot
+PANEL_GAP = 6  # [pixels] between the pictures of a task
+NAME_LETTERS = 24  # that fit under a picture of a task
 LEGEND_SHARE = 0.2  # of a picture's height; pictures too small for their legend have none
 
 
@@ -48,8 +54,7 @@ class Layer:
 
     mesh: Mesh
     opacity: float
-    opacity_behind: float = 0.0
-    """Where something solid is in front of it."""
+    opacity_behind: float = 0.0  # Where something solid is in front of it
 
 
 def draw_solution(
@@ -176,3 +181,48 @@ def write_png(path: Path, image: np.ndarray) -> None:
     """Write 8-bit colours (rows, columns, 3)."""
     with replacing(path) as temporary:
         Image.fromarray(image).save(temporary, format="PNG", optimize=True)
+
+
+def draw_task(
+    solution: TaskSolution,
+    path: Path,
+    size: tuple[int, int] = (600, 450),
+    columns: int = 3,
+    viewpoint: Viewpoint | None = None,
+) -> list[str]:
+    """Write a PNG with a named picture of the start and of the end of each planned phase, row by row; their names.
+
+    Parameters
+    ----------
+    size: width and height of one picture [pixels], without the name below it.
+    viewpoint: of all pictures; None for one from which all of them are seen well.
+
+    Raises
+    ------
+    InvalidInputError: a path that cannot be written.
+    """
+    planned = {phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase)}
+    chosen = [(name, world) for name, world in moments(solution) if name in planned or name == "start"]
+    viewpoint = viewpoint or _task_viewpoint([world for _, world in chosen], size)
+    panels = []
+    for k, (name, world) in enumerate(chosen):
+        picture = still_image(shown(world), world.q, size, viewpoint)
+        panels.append(
+            np.concatenate([picture, Strip([Label(f"{k + 1}  {name}")], size[0], NAME_LETTERS).image()])
+        )
+    height, width = panels[0].shape[:2]
+    rows = -(-len(panels) // columns)
+    sheet = np.full(
+        (rows * (height + PANEL_GAP) - PANEL_GAP, columns * (width + PANEL_GAP) - PANEL_GAP, 3), 255, np.uint8
+    )
+    for k, panel in enumerate(panels):
+        top, left = (k // columns) * (height + PANEL_GAP), (k % columns) * (width + PANEL_GAP)
+        sheet[top : top + height, left : left + width] = panel
+    write_png(Path(path), sheet)
+    return [name for name, _ in chosen]
+
+
+def _task_viewpoint(worlds: list[World], size: tuple[int, int]) -> Viewpoint:
+    """One from which the arm is seen well in each of the worlds."""
+    arms = [joined(robot_meshes(shown(world), world.q, ROBOT_COLOUR)) for world in worlds]
+    return clear_viewpoint([joined(arms)], scene_meshes(shown(worlds[-1]), HIDDEN), size)

@@ -9,8 +9,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.tasks.phases import Move, PlannedPhase, Slide, Turn
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
 from cvqmpt_lab.tasks.world import World
 
 DOOR_MARGIN = 5e-4  # [m] in place of SAMPLE_MARGIN with a door in the hand
@@ -20,18 +19,13 @@ DOOR_MARGIN = 5e-4  # [m] in place of SAMPLE_MARGIN with a door in the hand
 class Effort:
     """How hard goals of a kind of phase are looked for."""
 
-    goals: int
-    """Sought; those of slides and turns differ only in posture."""
-    poses: int
-    """Of the end effector that are tried for them."""
-    first_goals: int = 0
-    """Goals that the phase before looks for."""
-    grasps: int = 0
-    """How many of those must let this phase have goals of its own."""
+    goals: int  # Sought; those of slides and turns differ only in posture
+    poses: int  # Of the end effector that are tried for them
+    first_goals: int = 0  # Goals that the phase before looks for
+    grasps: int = 0  # How many of those must let this phase have goals of its own
     goals_ahead: int = 0
     """Goals of this phase that count as having some: a grasp that allows fewer stands at a limit and may get stuck."""
-    poses_ahead: int = 0
-    """Poses of the end effector that are tried for them."""
+    poses_ahead: int = 0  # Poses of the end effector that are tried for them
 
 
 EFFORT: dict[type, Effort] = {
@@ -45,10 +39,8 @@ EFFORT: dict[type, Effort] = {
 class PhaseGoals:
     """Where a phase may end."""
 
-    configurations: np.ndarray
-    """(m, n) [rad or m]."""
-    reason: str = ""
-    """Why there are none, or ""."""
+    configurations: np.ndarray  # (m, n) [rad or m]
+    reason: str = ""  # Why there are none, or ""
 
 
 def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:

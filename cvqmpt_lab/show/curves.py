@@ -17,24 +17,18 @@ BOUND_COLOUR: Colour = (0.80, 0.20, 0.20)
 class Curve:
     """One line of a plot."""
 
-    values: np.ndarray
-    """(m,), one for each state of the path."""
-    colour: Colour | None = None
-    """None for one that the viewer chooses."""
-    width: float = 2.0
-    """[pixels]."""
+    values: np.ndarray  # (m,), one for each state of the path
+    colour: Colour | None = None  # None for one that the viewer chooses
+    width: float = 2.0  # [pixels]
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
     """Curves over the states of a path."""
 
-    name: str
-    """Of its entity, without spaces."""
-    title: str
-    """For people, with the unit."""
-    curves: Mapping[str, Curve]
-    """By the name that the legend gives them."""
+    name: str  # Of its entity, without spaces
+    title: str  # For people, with the unit
+    curves: Mapping[str, Curve]  # By the name that the legend gives them
 
     @property
     def range(self) -> tuple[float, float]:

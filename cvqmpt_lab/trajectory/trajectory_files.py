@@ -17,23 +17,18 @@ import numpy as np
 from cvqmpt_lab.codec.forms import numbers
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import json_object, read_text, require_regular_file
-from cvqmpt_lab.trajectory.export import KINDS
+from cvqmpt_lab.trajectory.trajectory import KINDS
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """What a file says of a motion; numbers may be nan or infinite."""
 
-    joint_names: tuple[str, ...] | None
-    """n names, or None where the file has none."""
-    positions: np.ndarray
-    """(m, n) [rad or m]."""
-    times: np.ndarray | None = None
-    """(m,) [s], or None for a path."""
-    velocities: np.ndarray | None = None
-    """(m, n) [rad/s or m/s], with times."""
-    accelerations: np.ndarray | None = None
-    """(m, n) [rad/s^2 or m/s^2], where stated."""
+    joint_names: tuple[str, ...] | None  # n names, or None where the file has none
+    positions: np.ndarray  # (m, n) [rad or m]
+    times: np.ndarray | None = None  # (m,) [s], or None for a path
+    velocities: np.ndarray | None = None  # (m, n) [rad/s or m/s], with times
+    accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2], where stated
 
     def of_joints(self, names: tuple[str, ...]) -> "Motion":
         """With joints in the order of names; InvalidInputError when they are others."""

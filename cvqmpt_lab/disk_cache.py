@@ -12,8 +12,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, make_folder, replacing
 
-MOST = 256
-"""Files of one kind; the oldest go first."""
+MOST = 256  # Files of one kind; the oldest go first
 
 
 def sources_digest(*places: Path) -> str:

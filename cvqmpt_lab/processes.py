@@ -1,5 +1,8 @@
-"""How many threads the numeric libraries use."""
+"""Processes that do not outlive the one they work for, however that ends."""
 
+import ctypes
+import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,7 +10,18 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
+PR_SET_PDEATHSIG = 1
 
+
+def end_with_parent(parent: int) -> None:
+    """Let this process end when `parent`, which started it, ends; at once if that has happened (Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:  # it ended before this was asked for
+            os._exit(1)
+
+
+# How many threads the numeric libraries use.
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Let BLAS and OpenMP use one thread meanwhile.
