@@ -5,18 +5,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cli.options import ProgressBar, add_model, positive_int
+from cli.options import add_model, positive_int
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures.code_update import UpdateSettings
-from experiments.figures.learning_curve import LEARNING_CURVE
 from experiments.figures.run_figure import (
     FIGURES,
     NAME,
     ROW_FIGURES,
     FigureRequest,
     compare_at_equal_time,
-    learn_ever_more,
     reproduce_figure,
     summary,
 )
@@ -28,7 +26,6 @@ EXAMPLES = (
     "cvqmpt figure cost --out runs/place-task",
     "cvqmpt figure difficulty --out runs/place-task",
     f"cvqmpt figure {NAME} --problems 30 --out runs/{NAME}",
-    f"cvqmpt figure {LEARNING_CURVE} --data data/roadmap --out runs/{LEARNING_CURVE}",
 )
 
 
@@ -43,10 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive_int,
         default=30,
         metavar="N",
-        help=f"of {NAME} and {LEARNING_CURVE}: the first N problems (30)",
-    )
-    parser.add_argument(
-        "--data", type=Path, metavar="DIR", help=f"of {LEARNING_CURVE}: roadmap labels to learn from"
+        help=f"of {NAME}: the first N problems (30)",
     )
     add_model(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all randomness (0)")
@@ -60,10 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the figure and say what it shows."""
-    if args.figure == LEARNING_CURVE and args.data is not None:
-        compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-        out, bar = args.out or Path("runs") / LEARNING_CURVE, ProgressBar("scenes")
-        return _tell(learn_ever_more(args.data, out, args.problems, ["cvqmpt", *sys.argv[1:]], bar))
+    if args.figure == "learning-curve":
+        raise InvalidInputError(
+            "figure learning-curve was removed with the sequence network that it measured; its numbers are in "
+            "docs/training_log.md"
+        )
     if args.figure in ROW_FIGURES:
         if args.out is None:
             raise InvalidInputError(f"figure {args.figure} is drawn from rows: name their folder with --out")

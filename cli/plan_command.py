@@ -35,7 +35,7 @@ EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
     "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
     "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05",
-    "cvqmpt plan --task-file task.json --planner guided-birrt",
+    "cvqmpt plan --task-file task.json --planner ompl-projected",
     "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
     "cvqmpt plan --problem-file mine.json --robot ur5",
     "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal 1,0,0,-2,0,2,0",

@@ -19,7 +19,7 @@ EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out runs/can",
-    "cvqmpt reproduce multi-sequence --problems 2 --planners birrt,guided-birrt",
+    "cvqmpt reproduce multi-sequence --problems 2 --planners birrt,ompl-projected",
     "cvqmpt reproduce place-task --seeds 5 --dask tcp://head:8786 --out runs/cluster",
 )
 

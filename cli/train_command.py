@@ -14,13 +14,11 @@ from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
 from cvqmpt_lab.training.ranks import Ranks
 from cvqmpt_lab.training.runner import STAGES, Request, run_training
 
-PARTS = {"sight": 400, "sequences": 1600}
+PARTS = {"sight": 400}
 """Small parts of a model, trained in minutes by kernels at hand, and the scenes that are enough for them."""
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train sight --data data/roadmap --out runs/seeing",
-    "cvqmpt train sequences --data data/roadmap --model runs/seeing --out runs/sequences",
-    "cvqmpt train sequences --data data/roadmap --scenes 300 --constraints 300 --out runs/constrained",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train mpnet --data data/roadmap --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
@@ -32,8 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     parser.add_argument(
         "stage",
-        help=f"what to train: {', '.join(STAGES)}; or {', '.join(PARTS)}: a model's eyes, then what "
-        "codes they make of a scene, from data with --labels roadmap",
+        help=f"what to train: {', '.join(STAGES)}; or {', '.join(PARTS)}: a model's eyes, from data "
+        "with --labels roadmap",
     )
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
@@ -55,13 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", type=positive_int, metavar="N", help=f"for {', '.join(PARTS)}: learn from so many at most"
     )
-    parser.add_argument(
-        "--constraints",
-        type=positive_int,
-        metavar="N",
-        help="for sequences: learn as much from N of these scenes under random constraints, none of a kind that "
-        "`cvqmpt reproduce constraints` plans under; no longer zero-shot, a control (none)",
-    )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
     parser.add_argument("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
@@ -74,6 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
+    if args.stage == "sequences":
+        raise InvalidInputError(
+            "train sequences was removed: cvq-mpt searches its sequences by Dijkstra's algorithm on the edge costs of "
+            "`cvqmpt train sight`"
+        )
     profile = _profile(args)
     if args.print_config:
         print(json.dumps(to_plain(profile, complete=True), indent=2))
@@ -83,10 +79,6 @@ def run(args: argparse.Namespace) -> int:
             raise InvalidInputError(f"give --{name} DIR")
     if args.seed < 0 or args.workers < 0:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
-    if args.constraints and args.stage != "sequences":
-        raise InvalidInputError(
-            f"--constraints {args.constraints} is for sequences; {args.stage} is trained without constraints"
-        )
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
     if args.stage in PARTS:
@@ -123,12 +115,9 @@ def run(args: argparse.Namespace) -> int:
 def _train_part(args: argparse.Namespace, metadata: dict) -> int:
     from experiments.labels import part_training  # kernels, which a bare machine has not
 
-    train = {"sight": part_training.train_eyes, "sequences": part_training.train_code_sequences}[args.stage]
     scenes = args.scenes or PARTS[args.stage]
-    request = part_training.PartRequest(
-        args.data, args.out, args.model, args.seed, scenes, metadata, args.constraints or 0
-    )
-    learned = train(request, ProgressBar(args.stage))
+    request = part_training.PartRequest(args.data, args.out, args.model, args.seed, scenes, metadata)
+    learned = part_training.train_eyes(request, ProgressBar(args.stage))
     print(f"learned from {learned} examples; model in {args.out / 'model'}")
     return 0
 

@@ -10,15 +10,15 @@ from experiments.run import Experiment
 from experiments.suites.table import SUITES
 
 CONTROLS_FOLDER = "controls"
-CONTROLLED = ("birrt", "cvq-mpt", "opt-cvq-mpt", "cvq-route", "opt-cvq-route", "roadmap-cvq", *CONTROLS)
+CONTROLLED = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", *CONTROLS)
 SLOW = ("atlas-rrt", "tb-rrt")
 """Planners that spend most of their time in runs that time out."""
 QUICK = tuple(name for name in PLANNERS if name not in SLOW)
-HEADED = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "opt-cvq-route", "roadmap-cvq")
-ISOLATED = ("straight-line", "roadmap-blind", "cvq-wrong-cloud")
+HEADED = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
+ISOLATED = ("straight-line", "cvq-wrong-cloud")
 """Controls that say what helps in scenes of other families."""
-FAMILY = tuple(name for name in QUICK if name not in ("guided-birrt", "ompl-projected", "mpnet")) + ISOLATED
-ON_OTHER_ROBOTS = ("birrt", "guided-birrt", "ompl-projected")
+FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet")) + ISOLATED
+ON_OTHER_ROBOTS = ("birrt", "ompl-projected")
 
 
 @dataclass(frozen=True)

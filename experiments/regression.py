@@ -56,7 +56,6 @@ def _cases(planner: str, problems: Iterable[int], iterations: int, suite: str = 
 CASES: tuple[Case, ...] = (
     Case("birrt", 5, 0, 2),  # too few: a failure is an expectation too
     *_cases("birrt", (2, 5, 8), 20_000),
-    *_cases("guided-birrt", (2, 5), 20_000),
     *_cases("ompl-projected", (2, 5), 20_000),
     *_cases("atlas-rrt", (8, 10), 20_000),
     *_cases("tb-rrt", (8, 10), 20_000),
@@ -64,8 +63,6 @@ CASES: tuple[Case, ...] = (
     *_cases("cvq-mpt", (2, 5), 20_000),
     *_cases("opt-cvq-mpt", (2, 5), 20_000),
     *_cases("opt-algorithm-2", (5,), 20_000),  # guards the latent update, which no other planner uses
-    *_cases("cvq-route", (2, 5), 20_000),
-    *_cases("opt-cvq-route", (2, 5), 20_000),
     *_cases("roadmap-cvq", (2, 5, 8), 20_000),
     *_cases("birrt", (1,), 20_000, "sensor"),  # from rendered images, through filters, in a map
     *_cases("roadmap-cvq", (1,), 20_000, "sensor"),

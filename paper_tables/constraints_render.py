@@ -23,8 +23,7 @@ HEADER = [
     *(f"{label} / {REFERENCE}" for label, _ in SHOWN.values()),
 ]
 NOTES = (
-    "No constraint was seen in training (route-constraint-trained: random ones of other kinds). Scenes are held out; "
-    "all planners get the same start and goals.",
+    "No constraint was seen in training. Scenes are held out; all planners get the same start and goals.",
     "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems that both solved, "
     "bootstrap interval; work is projections and state checks, time is without goal inverse kinematics.",
     "Upright: the hand's yaw and place are free. Fixed orientation: its place. Plane, line: its origin stays there, it "

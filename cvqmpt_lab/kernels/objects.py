@@ -36,8 +36,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "search.reach", "search.single_state", "search.motion", "search.space_arrays", "search.tree_growth",
         "search.shortcut",
     ),
-    "roadmap": ("search.sight", "search.lazy_roadmap"),
-    "sequences": ("search.code_graph", "search.code_sequences", "search.walk"),
+    "roadmap": ("search.sight", "search.lazy_roadmap", "search.code_graph"),
     "labels": ("search.edge_verdicts",),
 }  # fmt: skip
 """What is compiled together, by modules of this room."""

@@ -13,7 +13,6 @@ from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
 from cvqmpt_lab.methods.loaded import (
     EYES,
     another_scene,
-    codebook_of,
     dictionary_roadmap,
     eyes_of,
     model_of,
@@ -28,7 +27,7 @@ from cvqmpt_lab.planning.code_proposals import CodeProposal
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, Timings
-from cvqmpt_lab.planning.roadmap_proposals import Gaussians, RoadmapMixture, RoadmapPath
+from cvqmpt_lab.planning.roadmap_proposals import RoadmapPath
 from cvqmpt_lab.planning.sight import Sight
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.virtual import CameraSettings
@@ -144,31 +143,6 @@ def _sight(weights: Weights, query: Query, observation: Observation) -> Sight:
     return eyes_of(weights, query.space.robot, query.space.problem.attachments).look(
         observation.cloud, observation.new
     )
-
-
-def roadmap_mixture(name: str, check: bool, update: bool = False) -> Build:
-    """Unconstrained roadmap paths as a sampling distribution; without checks, the blind twin.
-
-    update: the codes are moved to the manifold.
-    """
-
-    def build(robot: Robot, weights: Weights) -> Stages:
-        roadmap = dictionary_roadmap(weights, robot)
-        move = moved_to_manifold(weights) if update else None
-        return Stages(predict=RoadmapMixture(roadmap, name, check, move=move))
-
-    return build
-
-
-def moved_to_manifold(weights: Weights) -> Callable[[Query, np.ndarray], Gaussians]:
-    """Gives Gaussians of codes (r,) after the latent update towards the query's constraint."""
-
-    def move(query: Query, codes: np.ndarray) -> Gaussians:
-        codebook, manifold = codebook_of(weights, query.space.robot), query.space.problem.manifold
-        moved = LatentOptimizer(codebook).optimize(codebook.vectors[codes], manifold, query.rng)
-        return Gaussians(*codebook.gaussians(moved.z))
-
-    return move
 
 
 def true_codes(name: str) -> Build:

@@ -1,6 +1,5 @@
 """Weights, dictionaries, eyes and observers: loaded or made once a process, before any clock starts."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 
@@ -21,8 +20,8 @@ from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.codebook import Codebook, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.weights import SHIPPED, StoredModel, read_model, resolve_model
 
-EYES, SEQUENCES = "sight", "sequences"
-"""Parts of a model that small networks are."""
+EYES = "sight"
+"""Part of a model that prices edges."""
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 POINTS_SEEN = 4096  # of a cloud that distances are measured to
 WRONG_SCENE = ("shelves", 77)  # shown to the model in place of the problem's own scene
@@ -33,27 +32,6 @@ def model_of(weights: Weights) -> StoredModel:
     """The weights of a method."""
     of = SHIPPED[weights.kind]
     return read_model(resolve_model(weights.model or weights.kind, of), architecture=of)
-
-
-def small_network(weights: Weights, part: str) -> SmallNetwork:
-    """A part of a model that is a small network; InvalidInputError where it has none."""
-    parts = model_of(weights).parts
-    if part not in parts:
-        raise InvalidInputError(
-            f"{weights.model or weights.kind} has no {part}, only {', '.join(parts)}; train some with "
-            f"cvqmpt train {part}"
-        )
-    return SmallNetwork.of(parts[part])
-
-
-def require_constrained(weights: Weights) -> None:
-    """Raise InvalidInputError unless a model's sequences were also learned under random constraints."""
-    told = model_of(weights).metadata.get(SEQUENCES)
-    if not (isinstance(told, Mapping) and told.get("constraints")):
-        raise InvalidInputError(
-            f"{weights.model or weights.kind} has no sequences that have seen constraints; train some with "
-            f"cvqmpt train {SEQUENCES} --constraints N"
-        )
 
 
 @lru_cache(maxsize=1)
@@ -80,8 +58,14 @@ def no_cloud(problem: PlanningProblem) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def eyes_of(weights: Weights, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Eyes:
-    """A model's eyes on a robot and what it carries."""
-    return Eyes(small_network(weights, EYES), robot, attachments)
+    """A model's eyes on a robot and what it carries; InvalidInputError where it has none."""
+    parts = model_of(weights).parts
+    if EYES not in parts:
+        raise InvalidInputError(
+            f"{weights.model or weights.kind} has no {EYES}, only {', '.join(parts)}; train some with "
+            f"cvqmpt train {EYES}"
+        )
+    return Eyes(SmallNetwork.of(parts[EYES]), robot, attachments)
 
 
 @lru_cache(maxsize=8)

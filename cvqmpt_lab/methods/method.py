@@ -13,8 +13,6 @@ from cvqmpt_lab.planning.search import Search
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 
-CONSTRAINED = "vq_mpt_constrained"
-"""Kind of weights whose sequences have seen constraints, so that they are not zero-shot; all else is that of vq_mpt."""
 CloudOf = Callable[[PlanningProblem], np.ndarray]
 """Gives the cloud (m, 3) [m, robot base frame] of a problem."""
 

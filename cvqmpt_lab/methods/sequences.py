@@ -1,46 +1,30 @@
-"""Stages that predict sequences of codes: the paper's planners, ours that walk them, and controls."""
+"""Stages that predict sequences of codes: the paper's planners and controls."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-
 from cvqmpt_lab.distributions import GaussianMixture
-from cvqmpt_lab.kernels.search.code_graph import FEATURES
 from cvqmpt_lab.methods.learned import published
 from cvqmpt_lab.methods.loaded import (
-    SEQUENCES,
     codebook_of,
     dictionary_roadmap,
     drawn_noise,
     model_of,
-    require_constrained,
     seen_dictionary,
-    small_network,
     wide_observer,
 )
-from cvqmpt_lab.methods.method import CONSTRAINED, CloudOf, Stages, Weights
+from cvqmpt_lab.methods.method import CloudOf, Stages, Weights
 from cvqmpt_lab.planning.code_graph import SeenGraph
 from cvqmpt_lab.planning.code_proposals import CodeProposal, PredictedSequences
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.codebook import Codebook, drawn_nodes, widened
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 
 WIDTH = 1.1  # [rad] no Gaussian that is sampled from is narrower in any direction; chosen on the tuning environments
 STEPS = 5  # of Algorithm 2
-CHEAPEST = SmallNetwork(
-    first=np.eye(FEATURES)[2:3],
-    first_bias=np.zeros(1),
-    second=np.ones((1, 1)),
-    second_bias=np.zeros(1),
-    last=np.full(1, -50.0),
-    last_bias=np.zeros(1),
-)
-"""Says how much dearer a way is than the cheapest: sequences are then those of Dijkstra's algorithm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +38,7 @@ class MovedGaussians:
         """Sample around the moved codes; the proposal itself where there is nothing to move or to sample for."""
         assert isinstance(proposal, CodeProposal)
         mixture = proposal.distribution
-        if query.space.dim == 0 or proposal.path is not None or not isinstance(mixture, GaussianMixture):
+        if query.space.dim == 0 or not isinstance(mixture, GaussianMixture):
             return proposal
         z, manifold = self.codebook.vectors[proposal.codes], query.space.problem.manifold
         moved = self.optimizer.optimize(z, manifold, query.rng)
@@ -73,37 +57,30 @@ class MovedGaussians:
 def sequences(
     name: str,
     *,
-    walks: int = 0,
     early: bool = False,
     update: int | None = None,
-    cheapest: bool = False,
     cloud: CloudOf | None = None,
     uniform_share: float = 0.15,
 ) -> Callable[[Robot, Weights], Stages]:
-    """CVQ-MPT: predicted sequences as a mixture.
+    """CVQ-MPT: the cheapest sequences of codes as a mixture.
 
-    walks: sequences walked before samples are drawn. early: codes are put on the manifold before sequences are
-    judged, and sampled around there. update: steps of Algorithm 2 instead. cheapest: sequences of least cost, whatever
-    the network thinks. cloud: shown in place of the scene's. Models of kind "published" have a sequence model of
-    their own, which cannot go early: Algorithm 2 moves its codes.
+    early: codes are projected before sequences are judged, and sampled around there. update: steps of Algorithm 2
+    instead. cloud: shown in place of the scene's. Models of kind "published" have a sequence model of their own,
+    which cannot go early: Algorithm 2 moves its codes.
     """
 
     def build(robot: Robot, weights: Weights) -> Stages:
-        if weights.kind == CONSTRAINED:
-            require_constrained(weights)
-        if model_of(weights).config.kind == "published" and not walks:
+        if model_of(weights).config.kind == "published":
             return published(name, STEPS if early else update)(robot, weights)
-        network = CHEAPEST if cheapest else small_network(weights, SEQUENCES)
-        seen = partial(_seen, weights)
+        seen_dictionary(weights, robot)  # a model without eyes is refused before the clock starts
         covariances = widened(dictionary_roadmap(weights, robot).covariances, WIDTH)
         moved = None
         if update is not None:
             codebook = codebook_of(weights, robot)
             moved = MovedGaussians(codebook, LatentOptimizer(codebook, LatentSettings(steps=update)))
+        seen = partial(_seen, weights)
         return Stages(
-            predict=PredictedSequences(
-                name, seen, network, covariances, uniform_share=uniform_share, early=early, walks=walks
-            ),
+            predict=PredictedSequences(name, seen, covariances, uniform_share=uniform_share, early=early),
             observe=cloud or wide_observer(),
             update=moved,
         )

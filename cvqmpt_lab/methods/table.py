@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.methods.method import CONSTRAINED, Method, Stages, Weights
+from cvqmpt_lab.methods.method import Method, Stages, Weights
 from cvqmpt_lab.planning.around_path import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -31,7 +31,7 @@ def _learned(name: str, of: Callable[[ModuleType], Callable[..., Stages]], kind:
     return Method(name, build, Weights(kind))
 
 
-def _sequences(name: str, cloud: str | None = None, kind: str = "vq_mpt", **options: Any) -> Method:
+def _sequences(name: str, cloud: str | None = None, **options: Any) -> Method:
     """CVQ-MPT by sequences on the dictionary's graph; cloud: name of a function of `methods.loaded`."""
 
     def build(robot: Robot, weights: Weights | None) -> Stages:
@@ -41,11 +41,7 @@ def _sequences(name: str, cloud: str | None = None, kind: str = "vq_mpt", **opti
         shown = None if cloud is None else getattr(loaded, cloud)
         return sequences.sequences(name, cloud=shown, **options)(robot, weights)
 
-    return Method(name, build, Weights(kind))
-
-
-def _roadmap_mixture(name: str, **options: bool) -> Method:
-    return _learned(name, lambda learned: learned.roadmap_mixture(name, **options))
+    return Method(name, build, Weights("vq_mpt"))
 
 
 def _straight_line(name: str, uniform_share: float) -> Method:
@@ -58,24 +54,19 @@ def _by_name(*methods: Method) -> Mapping[str, Method]:
 
 PLANNERS = _by_name(
     Method.simple("birrt"),
-    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide").mixture)),
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
     _learned("mpnet", lambda learned: learned.mpnet, "mpnet"),
     _sequences("cvq-mpt"),
     _sequences("opt-cvq-mpt", early=True),
-    _sequences("cvq-route", walks=12),
-    _sequences("opt-cvq-route", walks=12, early=True),
     _learned("roadmap-cvq", lambda learned: learned.roadmap_path()),
 )
 
 CONTROLS = _by_name(
+    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide").mixture)),
     _straight_line("straight-line", 0.15),
     _straight_line("straight-line-only", 0.0),
-    _roadmap_mixture("roadmap-sampler", check=True),
-    _roadmap_mixture("roadmap-blind", check=False),
-    _roadmap_mixture("roadmap-update", check=True, update=True),
     _learned("roadmap-wrong-cloud", lambda learned: learned.roadmap_path(wrong=True)),
     _learned("roadmap-no-cloud", lambda learned: learned.roadmap_path(blind=True)),
     _learned("roadmap-true-edges", lambda learned: learned.roadmap_path(told=True)),
@@ -83,18 +74,27 @@ CONTROLS = _by_name(
     _learned("true-codes", lambda learned: learned.true_codes("true-codes")),
     _sequences("cvq-wrong-cloud", cloud="another_scene"),
     _sequences("cvq-no-cloud", cloud="no_cloud"),
-    _sequences("cvq-cheapest", cheapest=True),
     _sequences("cvq-no-uniform", uniform_share=0.0),
     _sequences("opt-algorithm-2", update=5),
-    _sequences("route-wrong-cloud", walks=12, cloud="another_scene"),
-    _sequences("route-no-cloud", walks=12, cloud="no_cloud"),
-    _sequences("route-cheapest", walks=12, cheapest=True),
-    _sequences("cvq-constraint-trained", kind=CONSTRAINED, early=True),
-    _sequences("route-constraint-trained", kind=CONSTRAINED, walks=12, early=True),
 )
 
 PUBLISHED = _by_name(_learned("cvq-as-published", lambda learned: learned.as_published("cvq-as-published")))
 """On imported weights of the authors' architecture alone."""
+
+REMOVED = {
+    "cvq-route": "roadmap-cvq",
+    "opt-cvq-route": "roadmap-cvq",
+    "cvq-cheapest": "cvq-mpt",
+    "cvq-constraint-trained": "opt-cvq-mpt",
+    "route-constraint-trained": "roadmap-cvq",
+    "route-wrong-cloud": "roadmap-wrong-cloud",
+    "route-no-cloud": "roadmap-no-cloud",
+    "route-cheapest": "roadmap-cvq",
+    "roadmap-blind": "roadmap-no-cloud",
+    "roadmap-sampler": "roadmap-cvq",
+    "roadmap-update": "opt-algorithm-2",
+}
+"""Planners and controls that are gone, and what replaces each."""
 
 WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None)
 
@@ -107,9 +107,11 @@ def planner_named(name: str, model: str | None = None) -> Method:
     UnknownChoiceError
         Listing the names.
     InvalidInputError
-        When a model is given to a method without weights.
+        When a model is given to a method without weights, or the planner was removed.
     """
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
+    if name in REMOVED:
+        raise InvalidInputError(f"planner {name} was removed; use {REMOVED[name]}")
     if found is None:
         raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED])
     return found if model is None else found.with_model(model)

@@ -40,13 +40,12 @@ class BiRRT:
         distribution: SamplingDistribution,
         budget: Budget,
         rng: np.random.Generator,
-        trees: kernels.Trees | None = None,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Search`. trees: begun with these ends."""
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
         began = time.perf_counter()
         deadline = np.inf if budget.seconds is None else began + budget.seconds
         before = space.counters
-        trees = kernels.plant(start, goals, FIRST_CAPACITY) if trees is None else trees
+        trees = kernels.plant(start, goals, FIRST_CAPACITY)
         status, path = PlanStatus.TIMEOUT, None
         used, batch = 0, FIRST_BATCH
         while path is None:

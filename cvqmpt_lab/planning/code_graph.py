@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.kernels.search.code_graph import CodeGraph
 from cvqmpt_lab.kernels.search.sight import ball_cells, join_looks, look_at_cells
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.sight import CLOUDS, SPACING, Eyes
@@ -115,14 +114,14 @@ class SeenGraph:
         self._priced.move_to_end(key)
         return self._priced[key]
 
-    def graph(self, cloud: np.ndarray) -> CodeGraph:
-        """The graph with its prices, the nodes a copy."""
-        links = self.links
-        return CodeGraph(
-            nodes=self.roadmap.nodes.copy(),
-            first=links.first,
-            neighbour=links.neighbour,
-            edge=links.edge,
-            length=self._seen.length.copy(),
-            price=self.prices(cloud).copy(),
-        )
+    def doubts(self, cloud: np.ndarray, ends: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """-log P(free) (e, k) of the motions between ends (e, n) and the nodes near (e, k) to each."""
+        pairs = np.broadcast_arrays(ends[:, None], self.roadmap.nodes[near])
+        motions = np.stack(pairs, axis=2).reshape(-1, 2, ends.shape[1])
+        return np.logaddexp(0.0, -self.eyes.judge(cloud, motions)[1]).reshape(near.shape)
+
+
+def nearest_rows(nodes: np.ndarray, ends: np.ndarray, count: int) -> np.ndarray:
+    """Rows (e, count) int32 of the nodes (N, n) nearest to each of ends (e, n), in no order."""
+    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
+    return np.argpartition(squares, count, axis=1)[:, :count].astype(np.int32)

@@ -1,23 +1,41 @@
-"""What predicted code sequences propose: Gaussians to sample from (the paper's use), and ways to walk first (ours)."""
+"""CVQ-MPT's sequences of codes (paper, Algorithm 1) by Dijkstra's algorithm on the dictionary's roadmap.
 
-from collections.abc import Callable
+An edge between two codes costs its length and what the doubt about it weighs, which the cloud decides.
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture
-from cvqmpt_lab.kernels.search.tree_growth import CONNECTED, FULL, REMOVED, enlarged, plant
-from cvqmpt_lab.kernels.search.walk import UNKNOWN, move_code, walk
-from cvqmpt_lab.planning.birrt import FIRST_CAPACITY, checked_tree_path
-from cvqmpt_lab.planning.code_graph import SeenGraph
-from cvqmpt_lab.planning.code_sequences import CodePath, SequenceSearch, SequenceSettings
+from cvqmpt_lab.kernels.search.code_graph import CodeGraph, cheapest_ways
+from cvqmpt_lab.planning.code_graph import SeenGraph, nearest_rows
 from cvqmpt_lab.planning.proposal import Observation, Proposal
 from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import JointPath, Timings
-from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.planning.result import Timings
 
-STEP = 0.2  # [rad] between the states of a walked motion; a found path is mended to the space's own
-LONGEST_MOTION = 256  # states
+QUEUE = 40  # entries of the queue a node
+
+
+@dataclass(frozen=True)
+class SequenceSettings:
+    """How sequences are searched."""
+
+    sequences: int = 4
+    """At most."""
+    entries: int = 40
+    """Codes that the start leads to, the nearest ones."""
+    exits: int = 20
+    """Codes that lead to each goal, the nearest ones."""
+    collision_weight: float = 4.0
+    """What -log P(free) adds to the cost of a motion [rad]."""
+    penalty: float = 0.5
+    """Motions at a code that is not on the manifold count 1 + penalty * |F| times their length."""
+    drift: float = 1.5
+    """Codes that lie further from the manifold are not used [rad]."""
+    rounds: int = 8
+    """How often at most sequences are searched again because their codes were projected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,151 +48,115 @@ class CodeProposal(Proposal):
 
 @dataclass(frozen=True, eq=False)
 class PredictedSequences:
-    """CVQ-MPT (paper, Algorithm 1): likely code sequences become a mixture; walked first where that is asked for."""
+    """The codes of the cheapest sequences from start to goals as a mixture of Gaussians."""
 
     name: str
     seen: Callable[[Query], SeenGraph]
-    """The dictionary before the query's robot's eyes."""
-    network: SmallNetwork
+    """The dictionary's roadmap with the edge costs of the query's robot and what it carries."""
     covariances: np.ndarray
     """(N, n, n) of codes, wide enough to sample from [rad^2]."""
     settings: SequenceSettings = field(default_factory=SequenceSettings)
     uniform_share: float = 0.15
     early: bool = False
-    """Codes are put on the manifold before sequences through them are judged."""
-    rounds: int = 8
-    """How often at most sequences are predicted anew because their codes have moved."""
-    walks: int = 0
-    """Sequences walked before samples are drawn, each an iteration of the budget."""
+    """Codes are projected onto the manifold before sequences through them are judged."""
 
     def __call__(self, query: Query, observation: Observation) -> CodeProposal:
-        """Predict, walk."""
+        """Search sequences; the timings say what edge costs and sequences took."""
         assert observation.cloud is not None
         clock, began = query.allowance, query.allowance.seconds
-        self.seen(query).prices(observation.cloud, observation.new)
+        roadmap = self.seen(query)
+        roadmap.prices(observation.cloud, observation.new)
         encoded = clock.seconds
-        walker, predicted = self.predicted(query, observation)
-        asked, path, walked = clock.seconds, None, 0
-        while path is None and predicted and walked < self.walks and not clock.spent():
-            path, walked = walker.walk(predicted[0]), walked + 1
-            clock.count(1)
-            if path is None and walked < self.walks:
-                predicted = self._likeliest(walker) or predicted
-        codes = _codes_of(predicted)
-        means = walker.search.graph.nodes[codes]
-        ways = f"{len(predicted)} sequences of {len(codes)} codes" + (f", {walked} walked" if walked else "")
+        asked = CodeSequences(roadmap, observation.cloud, query, self.settings, self.early)
+        found = asked.cheapest()
+        for _ in range(self.settings.rounds if self.early else 0):
+            if not asked.project(_codes_of(found)):
+                break
+            found = asked.cheapest()
+        codes = _codes_of(found)
+        mixture = GaussianMixture.equal(
+            asked.graph.nodes[codes], self.covariances[codes], query.uniform, self.uniform_share, self.name
+        )
         return CodeProposal(
-            GaussianMixture.equal(
-                means, self.covariances[codes], query.uniform, self.uniform_share, self.name
-            ),
-            Timings(encode=encoded - began, predict=asked - encoded),
-            ways,
-            fallback="" if predicted else "no code sequence reached a goal",
-            vertices=0 if path is None else int(walker.trees.size.sum()),
-            path=path,
-            trees=walker.trees if walked else None,
+            mixture,
+            Timings(encode=encoded - began, predict=clock.seconds - encoded),
+            f"{len(found)} sequences of {len(codes)} codes",
+            fallback="" if found else "no code sequence reached a goal",
             codes=codes,
         )
 
-    def predicted(self, query: Query, observation: Observation) -> "tuple[Walker, list[CodePath]]":
-        """Likely sequences, likeliest first, and who walks them."""
-        assert observation.cloud is not None
-        seen = self.seen(query)
-        search = SequenceSearch(
-            seen,
-            self.network,
-            observation.cloud,
-            query.start,
-            query.goals,
-            self.settings,
-            self._factor(query, seen),
-        )
-        walker = Walker(query, search, self.settings.drift)
-        return walker, self._likeliest(walker)
 
-    def _factor(self, query: Query, seen: SeenGraph) -> np.ndarray:
-        """How much longer ways at each code count, (N,)."""
-        factor = np.ones(len(seen.roadmap.nodes))
-        if query.space.dim > 0 and self.early:
-            residual = query.space.problem.manifold.residual(seen.roadmap.nodes)
-            factor += self.settings.penalty * np.linalg.norm(residual, axis=1)
-        return factor
-
-    def _likeliest(self, walker: "Walker") -> list[CodePath]:
-        """Likely sequences; with `early`, such as lie on the manifold."""
-        predicted = walker.search.likeliest()
-        for _ in range(self.rounds if self.early else 0):
-            if not walker.move(predicted):
-                break
-            predicted = walker.search.likeliest()
-        return predicted
-
-
-def _codes_of(predicted: list[CodePath]) -> np.ndarray:
+def _codes_of(sequences: list[list[int]]) -> np.ndarray:
     """Codes (c,) of sequences, each once."""
-    return np.unique(np.concatenate([np.empty(0, np.int32), *(one.codes for one in predicted)]))
+    return np.array(sorted(set().union(*sequences)), dtype=np.int64)
 
 
-class Walker:
-    """Walks sequences, and remembers what was found out on the way."""
+class CodeSequences:
+    """A query's start and goals, linked to a copy of the dictionary's roadmap."""
 
-    def __init__(self, query: Query, search: SequenceSearch, drift: float) -> None:
-        count = len(search.graph.nodes)
-        self.search, self.trees = search, plant(query.start, query.goals, FIRST_CAPACITY)
-        self._space, self._arrays, self._drift = query.space, query.space.arrays._replace(step=STEP), drift
-        self._state = np.full(count, UNKNOWN, dtype=np.int8)
-        self._standing = np.full(count, -1, dtype=np.int64)
-        self._room = np.empty((LONGEST_MOTION, len(query.start)))
+    def __init__(
+        self, roadmap: SeenGraph, cloud: np.ndarray, query: Query, settings: SequenceSettings, early: bool
+    ) -> None:
+        nodes, manifold = roadmap.roadmap.nodes.copy(), query.space.problem.manifold
+        factor, links = np.ones(len(nodes)), roadmap.links
+        if early and query.space.dim > 0:
+            factor += settings.penalty * np.linalg.norm(manifold.residual(nodes), axis=1)
+        self.graph = CodeGraph(
+            nodes,
+            factor,
+            links.first,
+            links.neighbour,
+            links.edge,
+            roadmap.prices(cloud),
+            settings.collision_weight,
+            np.empty(QUEUE * len(nodes)),
+            np.empty(QUEUE * len(nodes), dtype=np.int32),
+        )
+        self._space, self._settings = query.space, settings
+        self._projected = np.zeros(len(nodes), dtype=bool)
+        starts, goals = query.start[None], query.goals
+        self._links = [
+            (ends, (near := nearest_rows(nodes, ends, count)), roadmap.doubts(cloud, ends, near))
+            for ends, count in ((starts, settings.entries), (goals, settings.exits))
+        ]
 
-    def move(self, predicted: list[CodePath]) -> bool:
-        """Put the codes of sequences on the manifold; whether any was not there."""
-        codes = _codes_of(predicted)
-        new = codes[self._state[codes] == UNKNOWN]
+    def cheapest(self) -> list[list[int]]:
+        """Sequences of codes, cheapest first: each is the cheapest through some code that those before have not."""
+        (there, before), (back, after) = (self._ways(*link) for link in self._links)
+        through = there + back
+        found: list[list[int]] = []
+        while len(found) < self._settings.sequences and through.min() < np.inf:
+            code = int(through.argmin())
+            codes = [*_along(before, code)][::-1] + [*_along(after, code)][1:]
+            through[code] = np.inf
+            if len(set(codes)) == len(codes):  # otherwise a detour to the code and back
+                through[codes] = np.inf
+                found.append(codes)
+        return found
+
+    def _ways(self, ends: np.ndarray, near: np.ndarray, doubt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cost (N,) of the cheapest way between any of ends (e, n) and each code, and the code before it."""
+        graph = self.graph
+        cost, parent = np.full(len(graph.nodes), np.inf), np.empty(len(graph.nodes), dtype=np.int32)
+        length = np.linalg.norm(graph.nodes[near] - ends[:, None], axis=2)
+        np.minimum.at(cost, near, 0.5 * (1.0 + graph.factor[near]) * length + graph.weight * doubt)
+        cheapest_ways(graph, cost, parent)
+        return cost, parent
+
+    def project(self, codes: np.ndarray) -> bool:
+        """Put codes on the manifold; those that lie too far from it are not used again. Whether any was new."""
+        new = codes[~self._projected[codes]]
+        self._projected[new] = True
         for code in new.tolist():
-            move_code(self._arrays, self.search.graph, self.search.question, self._state, code, self._drift)
+            node, q = self.graph.nodes[code], self.graph.nodes[code].copy()
+            good = self._space.project(q) and np.linalg.norm(q - node) <= self._settings.drift
+            self.graph.factor[code] = 1.0 if good else np.inf
+            node[:] = q
         return len(new) > 0
 
-    def walk(self, predicted: CodePath) -> JointPath | None:
-        """The way along a sequence, if it is free; otherwise what blocks it is not predicted again."""
-        while True:
-            status, blocked = walk(
-                self._arrays,
-                self.search.graph,
-                self.search.question,
-                self.trees,
-                self._state,
-                self._standing,
-                predicted.codes,
-                predicted.goal,
-                self._drift,
-                self._room,
-            )
-            self._space.reraise()
-            if status != FULL:
-                break
-            self.trees = enlarged(self.trees)
-        path = checked_tree_path(self._space, self.trees) if status == CONNECTED else None
-        if status == CONNECTED and path is None:
-            blocked = self._take_back(predicted)
-        if blocked >= 0:
-            self._block(predicted, blocked)
-        return path
 
-    def _take_back(self, predicted: CodePath) -> int:
-        """Forget what stood behind a motion that has just failed its fine check; which motion of the sequence it is."""
-        removed = self.trees.nodes[0, :, 0] == REMOVED
-        gone = removed[self._standing[predicted.codes]]
-        self._standing[(self._standing >= 0) & removed[self._standing]] = -1
-        return int(np.argmax(gone)) if gone.any() else len(gone)
-
-    def _block(self, predicted: CodePath, motion: int) -> None:
-        """Make one motion of a sequence cost more than anything."""
-        graph, question, codes = self.search.graph, self.search.question, predicted.codes
-        if motion == 0:
-            question.entry_price[question.entry == codes[0]] = np.inf
-        elif motion == len(codes):
-            exits = slice(*question.exit_first[codes[-1] : codes[-1] + 2])
-            question.exit_price[exits][question.exit_goal[exits] == predicted.goal] = np.inf
-        else:
-            arcs = slice(*graph.first[codes[motion - 1] : codes[motion - 1] + 2])
-            graph.price[graph.edge[arcs][graph.neighbour[arcs] == codes[motion]]] = np.inf
+def _along(parent: np.ndarray, code: int) -> Iterator[int]:
+    """A code and those before it on its cheapest way."""
+    while code >= 0:
+        yield code
+        code = int(parent[code])

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cvqmpt_lab.distributions import SamplingDistribution
-from cvqmpt_lab.kernels.search.tree_growth import Trees
 from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import JointPath, PlanStatus, Timings
 
@@ -41,8 +40,6 @@ class Proposal:
     """Nodes of searches made on the way."""
     path: JointPath | None = None
     """On the manifold and free; the search then has nothing left to do."""
-    trees: Trees | None = None
-    """Of a search begun on the way, to go on with."""
     failure: PlanStatus | None = None
     """Why searching is pointless, or None."""
 

@@ -1,4 +1,4 @@
-"""What a roadmap proposes: a path on the manifold at once, or where to sample."""
+"""What a roadmap proposes: a path on the manifold at once."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,16 +13,6 @@ from cvqmpt_lab.planning.result import Timings
 from cvqmpt_lab.planning.roadmap import Roadmap, RoadmapQuery, RoadmapSettings
 from cvqmpt_lab.planning.sight import Sight
 from cvqmpt_lab.planning.space import ConstrainedSpace
-
-
-@dataclass(frozen=True, eq=False)
-class Gaussians:
-    """Where to sample instead of at the roadmap's own nodes."""
-
-    means: np.ndarray
-    """(r, n) [rad]."""
-    covariances: np.ndarray
-    """(r, n, n) [rad^2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,34 +84,3 @@ class RoadmapPath:
         widths = rng.uniform(0.0, self.spread, (self.drawn, 1))
         draws = np.clip(centres + widths * rng.standard_normal(centres.shape), robot.lower, robot.upper)
         return draws[[query.space.project(q) for q in draws]]
-
-
-@dataclass(frozen=True, eq=False)
-class RoadmapMixture:
-    """Gaussians at the nodes of several diverse roadmap paths, searched without the constraint."""
-
-    roadmap: Roadmap
-    name: str = "roadmap-sampler"
-    check: bool = True
-    """Nodes and edges are checked exactly when a path needs them; otherwise the roadmap is blind."""
-    paths: int = 6
-    """Number of diverse paths."""
-    uniform_share: float = 0.15
-    move: Callable[[Query, np.ndarray], Gaussians] | None = None
-    """Gives other Gaussians for nodes (r,)."""
-    settings: RoadmapSettings = field(default_factory=lambda: RoadmapSettings(penalty=0.0))
-
-    def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Search paths, then sample around all their nodes."""
-        free = query.space.unconstrained()
-        asked = RoadmapQuery(free, self.roadmap, query.start, query.goals, self.settings)
-        rows = [asked.next_path(query.allowance, self.check)[1] for _ in range(self.paths)]
-        chosen = np.unique(np.concatenate(rows))
-        gaussians = Gaussians(asked.configurations(chosen), self.roadmap.covariances[chosen])
-        if self.move and len(chosen):
-            gaussians = self.move(query, chosen)
-        mixture = GaussianMixture.equal(
-            gaussians.means, gaussians.covariances, query.uniform, self.uniform_share, self.name
-        )
-        found = sum(len(nodes) > 0 for nodes in rows)
-        return Proposal(mixture, detail=f"{len(chosen)} nodes on {found} roadmap paths")

@@ -35,9 +35,8 @@ def search(method: Search, query: Query, proposal: Proposal) -> PlanResult:
     elif (status := proposal.failure or allowance.spent()) is not None:
         result = allowance.ended(status, sampler)
     else:
-        begun = {} if proposal.trees is None else {"trees": proposal.trees}
         result = method.search(
-            query.space, query.start, query.goals, proposal.distribution, allowance.rest(), query.rng, **begun
+            query.space, query.start, query.goals, proposal.distribution, allowance.rest(), query.rng
         )
     return replace(
         result,

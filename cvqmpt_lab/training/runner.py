@@ -61,7 +61,7 @@ def _stage2(request: Request, dataset: PathDataset, device: torch.device) -> Sta
     if profile.stage2 is None:
         own = ", ".join(name for name, one in PROFILES.items() if one.stage2 is not None)
         raise InvalidInputError(
-            f"profile {profile.name!r} has no stage2: its models are shown sequences by train sequences; "
+            f"profile {profile.name!r} has no stage2: its models have no sequence model; "
             f"profiles with one: {own}"
         )
     dictionary = load_dictionary(request.dictionary)

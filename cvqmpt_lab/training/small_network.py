@@ -68,31 +68,3 @@ def train_sight(
         return nn.functional.binary_cross_entropy_with_logits(network(inputs[rows]), targets[rows])
 
     return train_small_network(inputs.shape[1], len(inputs), loss, seed, settings or SmallNetworkSettings())
-
-
-def train_sequences(
-    features: np.ndarray,
-    count: np.ndarray,
-    right: np.ndarray,
-    seed: int,
-    settings: SmallNetworkSettings | None = None,
-) -> dict[str, np.ndarray]:
-    """Learn which way on a label takes: cross entropy over the ways on from a code (paper, eqn. prob_eqn).
-
-    Parameters
-    ----------
-    features: (s, w, i), inputs as `kernels.search.code_graph.ways_on` computes them. count, right: (s,) how many
-        of the w ways there are, and which one is right.
-    """
-    inputs, ways, targets = (
-        torch.as_tensor(features, dtype=torch.float32),
-        torch.as_tensor(count),
-        torch.as_tensor(right),
-    )
-
-    def loss(network: Callable[[Tensor], Tensor], rows: Tensor) -> Tensor:
-        absent = torch.arange(inputs.shape[1]) >= ways[rows, None]
-        scores = network(inputs[rows]).masked_fill(absent, -torch.inf)
-        return nn.functional.cross_entropy(scores, targets[rows])
-
-    return train_small_network(inputs.shape[2], len(inputs), loss, seed, settings or SmallNetworkSettings())

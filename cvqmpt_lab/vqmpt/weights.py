@@ -270,9 +270,9 @@ def weights_digest(folder: Path) -> str:
 VQ_MPT, MPNET = "vq-mpt", "mpnet"
 CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
 """Sizes and options of each architecture."""
-PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight", "sequences"), MPNET: ("mpnet",)}
+PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight"), MPNET: ("mpnet",)}
 """Files of each architecture; the first is always there, VQ-MPT's second after stage 2 (kind "published" alone), its
-third if it has eyes, its fourth if these show it sequences of codes."""
+third if it has eyes."""
 
 Arrays = Mapping[str, np.ndarray]
 """Weights by name."""
@@ -385,7 +385,7 @@ def read_model(
 
 # Where weights are: the one place that finds them by name or folder, for one robot.
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
-SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET, "vq_mpt_constrained": VQ_MPT}
+SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
 """Names of the weights that come with the package, and their architectures; the first of each is the default."""
 
 

@@ -25,7 +25,6 @@ from experiments.bench.collision import STATES, bench_collision
 from experiments.bench.networks import bench_networks
 from experiments.bench.scanning import bench_scan
 from experiments.bench.seeing import bench_sight
-from experiments.bench.sequences import bench_sequences
 from experiments.bench.stages import bench_growth, bench_stages
 from experiments.bench.throughput import bench_throughput
 from experiments.bench.timing import Figure, calibration, single, spread, timed
@@ -187,7 +186,6 @@ BENCHES: Mapping[str, Callable[[int, int], list[Figure]]] = {
     "throughput": lambda problems, states: bench_throughput(problems),
     "growth": lambda problems, states: bench_growth(_tuning_problems(1)[0]),
     "sight": lambda problems, states: bench_sight(problems),
-    "sequences": lambda problems, states: bench_sequences(problems),
     "calibration": lambda problems, states: bench_calibration(panda(), problems),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
     "scan": lambda problems, states: bench_scan(),

@@ -16,9 +16,7 @@ from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
 from paper_tables.comparison import REFERENCE
 
-RESTARTED = tuple(
-    name for name in (REFERENCE, "opt-cvq-mpt", "opt-cvq-route", "roadmap-cvq") if name in PLANNERS
-)
+RESTARTED = tuple(name for name in (REFERENCE, "opt-cvq-mpt", "roadmap-cvq") if name in PLANNERS)
 IMPROVED = "--optimize"
 SECONDS = 0.5  # of planning and shortening, a problem and method
 CUTOFF = Budget(seconds=10.0)  # of each search

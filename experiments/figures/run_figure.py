@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.errors import RunStoreError, UnknownChoiceError
-from cvqmpt_lab.files import make_folder, read_bytes, require_regular_file
+from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
-from cvqmpt_lab.training.shards import INDEX_FILE
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from experiments.figures.code_update import FAR, CodeUpdate, UpdateSettings, update_codes
 from experiments.figures.cost import draw_cost
@@ -21,13 +19,6 @@ from experiments.figures.drawing import hand_figure, histogram_figure, save_figu
 from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
 from experiments.figures.hand_poses import hand_change, write_hands
 from experiments.figures.histogram import code_changes, write_tables
-from experiments.figures.learning_curve import (
-    LEARNING_CURVE,
-    METHODS,
-    SIZES,
-    draw_learning_curve,
-    measure_learning_curve,
-)
 from experiments.figures.robustness import draw_robustness
 from experiments.run import weights_of
 from experiments.suites.table import suite_named
@@ -95,33 +86,6 @@ def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> l
     return [*written, record.path]
 
 
-def learn_ever_more(
-    data: Path, out: Path, problems: int, command: Sequence[str], report: Callable[[int, int], None]
-) -> list[Path]:
-    """Learn from ever more scenes of a folder of roadmap labels; figure, table and provenance in a folder.
-
-    Raises
-    ------
-    InvalidInputError
-        When the suite has fewer problems, or the data too few scenes.
-    RunStoreError
-        When the folder cannot be written to or holds other results.
-    """
-    labels = sha256(read_bytes(require_regular_file(data / INDEX_FILE))).hexdigest()
-    configuration = {
-        "figure": LEARNING_CURVE,
-        "suite": SUITE,
-        "problems": problems,
-        "labels": labels,
-        "scenes": list(SIZES),
-    }
-    session = provenance(command, [0], weights_of(METHODS))
-    record = _record(out, configuration, session)
-    table = measure_learning_curve(data, _first(problems), out, report)
-    record.create(configuration, session)
-    return [*draw_learning_curve(out), table, record.path]
-
-
 def _first(problems: int) -> list[PlanningProblem]:
     """Problems of the suite."""
     asked = [suite_named(SUITE).solvable(index) for index in range(problems)]
@@ -162,9 +126,8 @@ ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
     "robustness": draw_robustness,
     "cost": draw_cost,
     "difficulty": draw_difficulty,
-    "learning-curve": draw_learning_curve,
 }
-"""Figures of a folder of rows, or of numbers beside weights, drawn there."""
+"""Figures of a folder of rows, drawn there."""
 
 
 def summary(update: CodeUpdate) -> list[str]:

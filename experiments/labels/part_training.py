@@ -1,4 +1,4 @@
-"""Training the small parts of a model on a dataset of roadmap labels: its eyes, then its sequences of codes."""
+"""Training a model's eyes on a dataset of roadmap labels."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,15 +10,14 @@ import numpy as np
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
-from cvqmpt_lab.methods.loaded import EYES, SEQUENCES, seen_dictionary
-from cvqmpt_lab.methods.method import Weights
+from cvqmpt_lab.methods.loaded import EYES
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE
-from cvqmpt_lab.training.small_network import train_sequences, train_sight
+from cvqmpt_lab.training.small_network import train_sight
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.weights import (
     TRAINED_FOLDER,
@@ -28,8 +27,6 @@ from cvqmpt_lab.vqmpt.weights import (
     resolve_model,
     write_weights,
 )
-from experiments.labels.constrained_examples import constrained_steps
-from experiments.labels.sequence_examples import PATHS, Steps, training_steps
 from experiments.labels.sight_examples import training_examples
 
 Part = TypeVar("Part")
@@ -50,8 +47,6 @@ class PartRequest:
     """At most."""
     metadata: dict[str, Any]
     """Kept with the weights."""
-    constraints: int = 0
-    """Scenes at most in which sequences are also learned under a random constraint."""
 
 
 def train_eyes(request: PartRequest, on_progress: Callable[[int, int], None]) -> int:
@@ -71,48 +66,6 @@ def train_eyes(request: PartRequest, on_progress: Callable[[int, int], None]) ->
     free = np.concatenate([one.free for one in examples])
     _write(request, model, EYES, train_sight(features, free, request.seed), {"scenes": len(examples)})
     return len(free)
-
-
-def train_code_sequences(request: PartRequest, on_progress: Callable[[int, int], None]) -> int:
-    """Write the model with a sequence network; returns the number of steps that it learned from.
-
-    Raises
-    ------
-    InvalidInputError
-        As `train_eyes`; when the model has no eyes yet, or the labels are of another dictionary.
-    """
-    robot, model = _whose(request)
-    seen = seen_dictionary(Weights("vq_mpt", request.model), robot)
-    shards, rng = read_roadmap_shards(request.data), np.random.default_rng(request.seed)
-    if not np.array_equal(shards[0].graph.edges, seen.links.edges):
-        raise InvalidInputError(
-            f"{request.data} holds labels of another dictionary than {request.model or 'shipped'}"
-        )
-    total = request.scenes + request.constraints
-    parts = training_steps(seen, robot, shards, request.scenes, PATHS, rng)
-    found = list(_counted(parts, request, total, on_progress))
-    steps, told = Steps.together(found), {}
-    if request.constraints:
-        families = read_json_object(request.data / DESCRIPTION_FILE)["families"]
-        again = np.random.default_rng([request.seed, 1])
-        parts = constrained_steps(seen, shards, families, request.constraints, PATHS, again)
-        moved = list(_counted(parts, request, total, on_progress, len(found)))
-        steps, told = _half_each(steps, Steps.together(moved), request, again), {"constraints": len(moved)}
-    network = train_sequences(steps.features, steps.count, steps.right, request.seed)
-    _write(request, model, SEQUENCES, network, {"scenes": len(found), **told})
-    return len(steps.count)
-
-
-def _half_each(free: Steps, moved: Steps, request: PartRequest, rng: np.random.Generator) -> Steps:
-    """As many steps without as under constraints, drawn from what there is more of."""
-    few = min(len(free.count), len(moved.count))
-    if few == 0:
-        raise InvalidInputError(
-            f"no way was found under {request.constraints} random constraints; give more --constraints"
-        )
-    return Steps.together(
-        part.rows(rng.choice(len(part.count), few, replace=False)) for part in (free, moved)
-    )
 
 
 def _whose(request: PartRequest) -> tuple[Robot, StoredModel]:

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.kernels.search.edge_verdicts import edge_verdicts
 from cvqmpt_lab.kernels.search.motion import motion_free
-from cvqmpt_lab.planning.code_graph import CodeEdges
-from cvqmpt_lab.planning.code_sequences import nearest_rows
+from cvqmpt_lab.planning.code_graph import CodeEdges, nearest_rows
 from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.robot.robot import Robot

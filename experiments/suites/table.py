@@ -38,13 +38,9 @@ from experiments.suites.sensor_robustness import robustness_problem
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
 """Planners for problems that no shipped weights fit."""
 ZERO_SHOT = tuple(
-    name
-    for name in ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "opt-cvq-route", "roadmap-cvq")
-    if name in PLANNERS
+    name for name in ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq") if name in PLANNERS
 )
 """Planners compared under constraints that no model has seen."""
-SEEN_OTHERS = ("route-constraint-trained",)
-"""Controls whose model has seen constraints of other kinds."""
 
 SuiteItem: TypeAlias = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 
@@ -94,7 +90,7 @@ SUITES: Mapping[str, Suite] = {
             Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name), new_scenes=True)
             for name in FAMILIES
         ),
-        Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT + SEEN_OTHERS, new_scenes=True),
+        Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT, new_scenes=True),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
         *(
             Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)

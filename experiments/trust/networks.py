@@ -1,4 +1,4 @@
-"""What the shipped networks compute in numpy, computed in torch: codes, Gaussians, what eyes and sequences say."""
+"""What the shipped networks compute in numpy, computed in torch: codes, Gaussians, what eyes say."""
 
 from functools import cache
 
@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from cvqmpt_lab.methods.loaded import EYES, SEQUENCES
+from cvqmpt_lab.methods.loaded import EYES
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
@@ -41,11 +41,10 @@ def networks_differ(problem: PlanningProblem, states: int, seed: int) -> list[st
         "mean of code": np.abs(ours.mean - theirs.mean.numpy()).max(1) > FAR,
         "covariance of code": np.abs(ours.covariance - theirs.covariance.numpy()).max((1, 2)) > FAR,
     }
-    for part in (EYES, SEQUENCES):
-        network = SmallNetwork.of(stored.parts[part])
-        asked = rng.uniform(0.0, LARGEST, (states, network.inputs))
-        answers = _in_torch(stored.parts[part], torch.from_numpy(asked).float()).numpy()
-        apart[f"answer of {part}"] = np.abs(network(asked) - answers) > FAR * np.maximum(1.0, np.abs(answers))
+    network = SmallNetwork.of(stored.parts[EYES])
+    asked = rng.uniform(0.0, LARGEST, (states, network.inputs))
+    answers = _in_torch(stored.parts[EYES], torch.from_numpy(asked).float()).numpy()
+    apart["answer of the eyes"] = np.abs(network(asked) - answers) > FAR * np.maximum(1.0, np.abs(answers))
     return [f"{what} {k} differs" for what, which in apart.items() for k in np.flatnonzero(which)]
 
 

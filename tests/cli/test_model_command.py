@@ -102,7 +102,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
         (["import", "--out", "x"], "import: give --dictionary-dir DIR"),
         (["import", "--dictionary-dir", "x", "--ar-dir", "y"], "import: give --out DIR"),
         (["import", "--dictionary-dir", "x", "--ar-dir", "y", "--out", "z"], "x/model_params.json: No such file"),
-        (["info", "--model", "nowhere"], "no weights in nowhere; give one of vq_mpt, mpnet, vq_mpt_constrained, or"),
+        (["info", "--model", "nowhere"], "no weights in nowhere; give one of vq_mpt, mpnet, or"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_one_line(words, message, tmp_path, monkeypatch, capsys):
@@ -147,9 +147,7 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
         resolve_model(tmp_path / "run", "mpnet")
     with pytest.raises(OtherRobotError, match=r"weights are for robot 'panda', not .*: 7 joints, not 4"):
         load_vq_mpt(slider_arm, tmp_path / "run")
-    with pytest.raises(
-        InvalidInputError, match="no weights in gnn; give one of vq_mpt, vq_mpt_constrained, or the folder"
-    ):
+    with pytest.raises(InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder"):
         load_vq_mpt(panda, "gnn")
     monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
     with pytest.raises(InvalidInputError, match=r"no weights in .*vq_mpt; give one of vq_mpt"):

@@ -111,7 +111,9 @@ def test_every_planner_looks_at_a_new_scene_for_itself_and_at_a_known_one_once(m
     counted = []
     fill = sight.fill_distances
     monkeypatch.setattr(sight, "fill_distances", lambda *given: counted.append(given) or fill(*given))
-    runs = [Run(suite, 0, name, 0, Budget(iterations=1)) for name in ("roadmap-cvq", "cvq-mpt", "cvq-route")]
+    runs = [
+        Run(suite, 0, name, 0, Budget(iterations=1)) for name in ("roadmap-cvq", "cvq-mpt", "opt-cvq-mpt")
+    ]
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
     for run in runs:
         before = len(counted)
@@ -125,7 +127,7 @@ def test_the_world_of_a_phase_is_looked_at_by_every_planner(monkeypatch):
     fill = sight.fill_distances
     monkeypatch.setattr(sight, "fill_distances", lambda *given: counted.append(given) or fill(*given))
     task = multi_sequence_task(0)
-    for name in ("roadmap-cvq", "cvq-route"):
+    for name in ("roadmap-cvq", "cvq-mpt"):
         before = len(counted)
         outcome_of(Run("multi-sequence", 0, name, 0, Budget(iterations=20_000)), task, 0.0)
         assert len(counted) >= before + 4, name

@@ -234,7 +234,7 @@ def test_only_planners_that_need_weights_name_them():
     assert weights_of(("birrt", "tb-rrt")) == {}
     assert weights_of(("birrt", "roadmap-cvq")) == {"vq_mpt": digests["vq_mpt"]}
     assert weights_of(tuple(PLANNERS)) == digests
-    assert {models_of(name) for name in CONTROLS} == {(), ("vq_mpt",), ("vq_mpt_constrained",)}
+    assert {models_of(name) for name in CONTROLS} == {(), ("vq_mpt",)}
 
 
 def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):

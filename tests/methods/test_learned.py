@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.methods.learned import moved_to_manifold
-from cvqmpt_lab.methods.method import CONSTRAINED
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, planner_named
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.methods.table import CONTROLS, PLANNERS, REMOVED, planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget, PlanStatus
-from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.weights import read_description, resolve_model
 from experiments.rows import path_hash
 from experiments.suites.place_task import place_problem
 
@@ -28,16 +24,6 @@ def plan(problem, name, budget=ENOUGH, seed=0):
     return solve(problem, name, budget, seed, clearance=False).plan
 
 
-@pytest.fixture(scope="module")
-def roadmap(problem):
-    return PLANNERS["roadmap-cvq"].stages(problem).predict.roadmap
-
-
-def query_of(problem, seed=0):
-    """A query with a generous budget in a fresh space."""
-    return Query.of(ConstrainedSpace(problem), ENOUGH, np.random.default_rng(seed))
-
-
 @pytest.mark.parametrize("name", CONTROLS)
 def test_controls_solve_repeat_and_give_up(problem, name):
     first, second = plan(problem, name), plan(problem, name)
@@ -52,9 +38,7 @@ def test_learned_planners_pay_for_their_networks(problem):
     assert result.seconds >= result.timings.total
 
 
-@pytest.mark.parametrize(
-    ("method", "shown_another"), [("roadmap-cvq", "roadmap-wrong-cloud"), ("cvq-route", "route-wrong-cloud")]
-)
+@pytest.mark.parametrize(("method", "shown_another"), [("roadmap-cvq", "roadmap-wrong-cloud")])
 def test_ways_need_the_cloud_of_their_own_scene(method, shown_another):
     """With another scene's a planner works harder, over a few problems together."""
     ratios = []
@@ -66,23 +50,11 @@ def test_ways_need_the_cloud_of_their_own_scene(method, shown_another):
     assert np.exp(np.mean(ratios)) > 1.3
 
 
-def test_the_update_moves_dictionary_codes_to_the_manifold(problem, roadmap):
-    codes = np.arange(0, 1024, 64)
-    moved = moved_to_manifold(PLANNERS["roadmap-cvq"].weights)(query_of(problem), codes)
-    before = np.linalg.norm(problem.manifold.residual(roadmap.nodes[codes]), axis=1)
-    after = np.linalg.norm(problem.manifold.residual(moved.means), axis=1)
-    assert moved.covariances.shape == (len(codes), 7, 7) and np.mean(after) < np.mean(before)
-
-
-def test_constraint_trained_controls_differ_by_their_network_of_sequences_alone():
-    free, constrained = (read_description(resolve_model(name)) for name in ("vq_mpt", CONSTRAINED))
-    assert {name for name in free.sha256 if free.sha256[name] != constrained.sha256[name]} == {"sequences"}
-    assert free.model == constrained.model and free.robot == constrained.robot
-    users = {
-        name for name, method in CONTROLS.items() if method.weights and method.weights.kind == CONSTRAINED
-    }
-    assert users == {"cvq-constraint-trained", "route-constraint-trained"}
-    assert all(method.weights is None or method.weights.kind != CONSTRAINED for method in PLANNERS.values())
+@pytest.mark.parametrize("name", REMOVED)
+def test_a_removed_planner_is_refused_with_what_replaces_it(name):
+    with pytest.raises(InvalidInputError, match=f"planner {name} was removed; use {REMOVED[name]}$"):
+        planner_named(name)
+    assert planner_named(REMOVED[name])
 
 
 def test_names_are_unique():

@@ -225,7 +225,7 @@ def test_without_a_constraint(problem):
     assert solution.solved and solution.plan.counters.projections == 0
     with pytest.raises(
         InvalidInputError,
-        match=r"ompl-projected: it needs a constraint.* planners that can: birrt, guided-birrt$",
+        match=r"ompl-projected: it needs a constraint.* planners that can: birrt$",
     ):
         solve(free, "ompl-projected", ENOUGH, seed=0)
 

@@ -17,7 +17,7 @@ from cvqmpt_lab.planning.roadmap import (
     RoadmapQuery,
     RoadmapSettings,
 )
-from cvqmpt_lab.planning.roadmap_proposals import RoadmapMixture, RoadmapPath
+from cvqmpt_lab.planning.roadmap_proposals import RoadmapPath
 from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -167,13 +167,6 @@ def test_more_nodes_free_a_start_that_no_code_is_near(problem, roadmap):
     assert plan(problem, RoadmapPath(sparse, draws=0)).fallback
     helped = plan(problem, RoadmapPath(sparse, draws=3))
     assert not helped.fallback and certify(problem, helped.path).valid
-
-
-@pytest.mark.parametrize("check", [True, False])
-def test_roadmap_paths_guide_birrt(problem, roadmap, check):
-    result = plan(problem, RoadmapMixture(roadmap, check=check))
-    assert result.path is not None and certify(problem, result.path).valid
-    assert "roadmap paths" in result.detail and result.sampler == "roadmap-sampler"
 
 
 def test_the_mixture_around_no_nodes_is_uniform(problem, roadmap):

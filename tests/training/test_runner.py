@@ -367,13 +367,7 @@ def test_the_command_line(tmp_path, capsys, data):
         "give --out DIR": common,
         "no dataset in": [*common[:4], "--data", str(tmp_path), "--out", str(tmp_path / "x")],
         "unknown device 'tpu'": [*common[:6], "--device", "tpu", "--out", str(tmp_path / "x")],
-        "--constraints 3 is for sequences; stage1": [
-            *common,
-            "--constraints",
-            "3",
-            "--out",
-            str(tmp_path / "x"),
-        ],
+        "train sequences was removed": ["train", "sequences"],
         "unknown profile 'big'": ["train", "stage1", "--profile", "big"],
         "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
     }

@@ -6,16 +6,10 @@ import math
 import pytest
 from made_rows import a_row
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import RUNS_FILE, write_rows
-from experiments.figures import learning_curve
 from experiments.figures.cost import OURS, draw_cost
 from experiments.figures.difficulty import bins_of
 from experiments.figures.equal_time import best_by, time_to
-from experiments.figures.learning_curve import CURVE_FILE, draw_learning_curve, measure_learning_curve
-from experiments.labels.roadmap_data import RoadmapRecipe
-from experiments.labels.training_data import generate
-from experiments.suites.place_task import place_problem
 
 TRACE = ((0.01, 8.0), (0.05, 6.0), (0.2, 5.0))
 
@@ -52,39 +46,3 @@ def test_problems_are_binned_from_easy_to_hard_and_unsolved_ones_are_hardest():
 def test_the_best_length_by_a_time_and_the_time_to_a_length():
     assert [best_by(TRACE, time) for time in (0.001, 0.05, 1.0)] == [math.inf, 6.0, 5.0]
     assert [time_to(TRACE, length) for length in (8.0, 5.5, 4.0)] == [0.01, 0.2, math.inf]
-
-
-def test_a_learning_curve_is_drawn_from_numbers_alone(tmp_path):
-    (tmp_path / CURVE_FILE).write_text(
-        "labels,work,work_low,work_high\n1000,0.9,0.8,1.0\n10000,0.5,0.4,0.6\n"
-    )
-    assert [path.name for path in draw_learning_curve(tmp_path)] == [
-        "learning_curve.png",
-        "learning_curve.svg",
-    ]
-    (tmp_path / CURVE_FILE).write_text("labels,work\n1000,much\n")
-    with pytest.raises(InvalidInputError, match=r"learning_curve.csv.*much.*must be a number"):
-        draw_learning_curve(tmp_path)
-
-
-def test_the_learning_curve_is_measured_on_as_many_scenes_as_it_says(tmp_path, monkeypatch):
-    generate(
-        RoadmapRecipe(4, 12, ("table", "cage")), tmp_path / "data", 1, ["test"], lambda done, total: None
-    )
-    monkeypatch.setattr(learning_curve, "SIZES", (1, 2))
-    monkeypatch.setattr(learning_curve, "HELD_OUT", 2)
-    monkeypatch.setattr(learning_curve, "UPDATES", 100)
-    seen = []
-    table = measure_learning_curve(
-        tmp_path / "data", [place_problem(1000)], tmp_path, lambda done, total: seen.append((done, total))
-    )
-    assert seen == [(1, 2), (2, 2)]
-    with table.open() as file:
-        lines = list(csv.DictReader(file))
-    assert [line["scenes"] for line in lines] == ["1", "2"]
-    nats = [float(line["cross entropy [nats]"]) for line in lines]
-    assert all(0.3 < value < 2.0 for value in nats) and nats[0] != nats[1]
-    assert all(float(line["work of cvq-route / birrt"]) > 0.0 for line in lines)
-    monkeypatch.setattr(learning_curve, "SIZES", (3,))
-    with pytest.raises(InvalidInputError, match="holds 2 scenes to train on; 3 are asked for"):
-        measure_learning_curve(tmp_path / "data", [place_problem(1000)], tmp_path, lambda done, total: None)

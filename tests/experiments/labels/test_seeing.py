@@ -6,7 +6,6 @@ import pytest
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.learned import roadmap_path
-from cvqmpt_lab.methods.loaded import seen_dictionary
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.planning.sight import Eyes
@@ -14,16 +13,14 @@ from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
-from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
+from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_weights
 from experiments.bench.seeing import area, calibration_error
-from experiments.bench.sequences import entropies
 from experiments.labels.labelled_scenes import unconstrained_space
-from experiments.labels.part_training import PartRequest, train_code_sequences, train_eyes
+from experiments.labels.part_training import PartRequest, train_eyes
 from experiments.labels.roadmap_data import RoadmapRecipe
 from experiments.labels.roadmap_labels import verdicts
-from experiments.labels.sequence_examples import Steps, training_steps
 from experiments.labels.sight_examples import examples_of
 from experiments.labels.training_data import generate
 from experiments.suites.place_task import place_problem
@@ -74,29 +71,7 @@ def test_eyes_trained_on_a_few_scenes_know_free_from_blocked_in_another(data, tm
     assert area(nowhere.odds[seen.edge], seen.free[seen.edge]) < 0.8
 
 
-def test_sequences_are_learned_by_a_model_with_eyes_alone(data, tmp_path):
-    robot, untold = panda(), lambda done, total: None
-    steps = train_code_sequences(request(data, tmp_path, scenes=6), untold)
-    trained = SmallNetwork.of(read_model(tmp_path / "model").parts["sequences"])
-    seen = seen_dictionary(Weights("vq_mpt"), robot)
-    shards = read_roadmap_shards(data)
-    learned = Steps.together(training_steps(seen, robot, shards, 6, 2, np.random.default_rng(0)))
-    assert steps == len(learned.count)
-    guessed = np.log(learned.count).mean()
-    assert entropies(SmallNetwork.untrained(6), learned).mean() == pytest.approx(guessed)
-    assert entropies(trained, learned).mean() < guessed - 0.1  # after twenty steps of Adam
-    model = load_vq_mpt(robot)
-    parts, plain = {"dictionary": model.parts["dictionary"]}, to_plain(model.config, complete=True)
-    write_weights(tmp_path / "m", VQ_MPT, plain, model.robot, model.metadata, parts)
-    with pytest.raises(
-        InvalidInputError, match="no sight, only dictionary; train some with cvqmpt train sight"
-    ):
-        train_code_sequences(request(data, tmp_path, model=str(tmp_path / "m")), untold)
-    with pytest.raises(InvalidInputError, match="no sequences, only dictionary"):
-        planner_named("cvq-route", str(tmp_path / "m")).stages(place_problem(1003))
-
-
-def test_a_model_without_eyes_goes_blindly(tmp_path):
+def test_a_model_without_eyes_goes_blindly_or_not_at_all(tmp_path):
     model = load_vq_mpt(panda())
     parts = {"dictionary": model.parts["dictionary"]}
     write_weights(
@@ -104,6 +79,10 @@ def test_a_model_without_eyes_goes_blindly(tmp_path):
     )
     assert roadmap_path()(panda(), Weights("vq_mpt", str(tmp_path / "m"))).observe is None
     assert roadmap_path()(panda(), Weights("vq_mpt")).observe is not None
+    with pytest.raises(
+        InvalidInputError, match="no sight, only dictionary; train some with cvqmpt train sight"
+    ):
+        planner_named("cvq-mpt", str(tmp_path / "m")).stages(place_problem(1003))
 
 
 def test_data_without_a_scene_to_train_on_is_refused(tmp_path):
