@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 
 BEGIN, END = "<!-- figures: written by make trust -->", "<!-- end of figures -->"
 HEAD = "| part | promise | tried | faults | form | date | commit |\n|---|---|---|---|---|---|---|"
-EXAMPLES = {"ci": 10, "long": 1000}
+EXAMPLES = {"ci": 25, "long": 1000}
 MARKER = "promise(words, unit, ci, long): trials that a promise of docs/guarantees.md is put to"
 
 

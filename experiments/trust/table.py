@@ -9,10 +9,8 @@ from experiments.trust.check import Check
 PARTS: Mapping[str, str] = {
     "determinism": "experiments.trust.determinism",
     "differential": "experiments.trust.differential",
-    "edges": "experiments.trust.edges",
     "faults": "experiments.trust.faults",
     "long-runs": "experiments.trust.long_runs",
-    "properties": "experiments.trust.properties",
 }
 """Module of each part; only those asked for are imported."""
 

@@ -8,7 +8,6 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from experiments.trust.check import Check, Finding, Trial
 from experiments.trust.figures import BEGIN, END, HEAD, record
-from experiments.trust.properties import paths_are_sound
 from experiments.trust.table import PARTS, checks_of
 
 SHORT = [(part, check) for part in PARTS for check in checks_of(part) if check.short]
@@ -28,11 +27,6 @@ def finding(promise, tried, faults=()):
         1.0,
         1.0,
     )
-
-
-def test_a_motion_through_the_half_turn_of_a_region_stays_on_the_manifold():
-    """Found by the long form: F rose to its kink between two looks at a shortened motion."""
-    paths_are_sound(268)
 
 
 def test_figures_replace_those_of_the_same_promise_and_keep_the_others(tmp_path):

@@ -1,0 +1,162 @@
+"""Where numbers are extreme every plan ends within its budget, in a certified path or a reason."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget, PlanStatus
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Sphere
+
+LONGEST = (
+    10.0  # [s] of processor time of a plan, arrays of 10 000 obstacles, goals, shortening and proof included
+)
+READY = np.array([0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8])
+EMPTY = Scene("empty", ())
+TINIEST = 5e-324
+ANY = (
+    "birrt",
+    "guided-birrt",
+    "cvq-mpt",
+    "roadmap-cvq",
+    "mpnet",
+)  # planners of problems without a constraint
+
+
+def between(rng, scene=EMPTY, spread=0.5):
+    """From one free configuration to another near by."""
+    robot = panda()
+    for _ in range(100):
+        ends = np.clip(READY + rng.uniform(-spread, spread, (2, 7)), robot.lower, robot.upper)
+        problem = PlanningProblem("extreme", robot, scene, ends[0], ends[1:])
+        if not problem.collision_checker(1e-3).in_collision_batch(ends).any():
+            return problem
+    raise AssertionError("no free configuration in a hundred")
+
+
+def singular(rng):
+    """The wrist over the first axis, the elbow as straight as it goes, two axes in line."""
+    problem = between(rng)
+    start = problem.start.copy()
+    start[[0, 1, 2, 4]] = rng.choice([0.0, 0.5]), 0.0, 0.0, 0.0
+    start[3] = problem.robot.upper[3] if rng.random() < 0.5 else -1.5
+    return replace(problem, start=start)
+
+
+def at_limits(rng):
+    """The last joints as far as they go, at both ends."""
+    problem = between(rng)
+    start, goal = problem.start.copy(), problem.goals.copy()
+    for j in (4, 6):
+        start[j], goal[0, j] = rng.permutation([problem.robot.lower[j], problem.robot.upper[j]])
+    return replace(problem, start=start, goals=goal)
+
+
+def already_there(rng):
+    """The goal is the start, among others or alone."""
+    problem = between(rng)
+    others = problem.goals if rng.random() < 0.5 else problem.goals[:0]
+    return problem.with_goals(np.concatenate([others, problem.start[None]]))
+
+
+def blocked(rng):
+    """A peg beside the shoulder, which the first joint alone moves: a quarter turn hits it, however others stand."""
+    peg = SceneObject("peg", Box((0.01, 0.01, 0.02)), pose((0.09, 0.0, 0.25)))
+    problem = between(rng, Scene("blocked", (peg,)), spread=0.1)
+    quarter = problem.robot.random_configurations(rng, 200)
+    quarter[:, 0] = np.pi / 2
+    assert problem.collision_checker().in_collision_batch(quarter).all()
+    goal = problem.goals.copy()
+    goal[:, 0] = 2.6
+    return replace(problem, goals=goal)
+
+
+def region(T, half_xy, half_z, half_angles):
+    """Bounds around the pose T (4, 4)."""
+    halves = np.array([half_xy, half_xy, half_z, *[half_angles] * 3])
+    return TaskSpaceRegion(T, np.eye(4), np.stack([-halves, halves], axis=1))
+
+
+def narrow(rng, width=0.0):
+    """The hand keeps its height to within a width [m]; goals are drawn from a region of the same height."""
+    problem = between(rng)
+    T = problem.robot.pose(problem.start)
+    return replace(
+        problem,
+        constraint=(region(T, FREE, width / 2, FREE),),
+        goals=problem.goals[:0],
+        goal_region=region(T, 0.15, 0.0, 0.3),
+    )
+
+
+def crowded(rng, count, size, far):
+    """Among so many boxes and balls of one size [m], `far` [m] and up to 1 m more from the base."""
+    objects = []
+    for k in range(count):
+        direction = rng.standard_normal(3)
+        shape = Box((size, size, size)) if k % 2 else Sphere(size / 2)
+        inside = size / 2 * (np.sqrt(3.0) if k % 2 else 1.0)
+        at = direction / np.linalg.norm(direction) * (far + inside + rng.uniform(0.0, 1.0))
+        objects.append(SceneObject(f"o{k}", shape, pose(at, rng.uniform(-3.0, 3.0))))
+    return between(rng, Scene("crowded", tuple(objects)))
+
+
+def denormal(rng):
+    """Numbers next to nothing: of the start, the goal, bounds and places."""
+    problem = between(rng)
+    start, goal = problem.start.copy(), problem.goals.copy()
+    start[rng.integers(0, 3)] = TINIEST * rng.choice([-1.0, 1.0])
+    goal[0, 0] += TINIEST
+    ball = SceneObject("ball", Sphere(0.05), pose((1.5, TINIEST, -1e-310)))
+    made = replace(problem, start=start, scene=Scene("tiny", (ball,)))
+    if rng.random() < 0.5:
+        return made
+    T, width = problem.robot.pose(start), rng.choice([TINIEST, 1e-310, 1e-200])
+    plane, near = region(T, FREE, width, FREE), region(T, 0.1, TINIEST, 0.3)
+    return replace(made, constraint=(plane,), goals=goal[:0], goal_region=near)
+
+
+def extreme(what, make, solved, planners=("birrt",), budget=None, ci=1, long=100):
+    """solved: whether there is a path to be found, or None where either may be."""
+    mark = pytest.mark.promise(f"extreme numbers: {what}", "plans", ci=ci, long=long)
+    return pytest.param(make, solved, planners, budget or Budget(iterations=3000), marks=mark, id=what)
+
+
+@pytest.mark.parametrize(
+    ("make", "solved", "planners", "budget"),
+    [
+        extreme("singular configurations", singular, True, ci=4, long=200),
+        extreme("joints at their limits", at_limits, True, ci=4, long=200),
+        extreme("the start is a goal", already_there, True, ANY, ci=5, long=200),
+        extreme("nothing in the scene", between, True, ANY, ci=5, long=200),
+        extreme("no way out", blocked, False, ("birrt", "roadmap-cvq"), Budget(seconds=0.5), ci=2, long=20),
+        extreme("regions of no width", narrow, True, ci=2),
+        extreme("regions of 0.2 mm", lambda rng: narrow(rng, 2e-4), True, ci=2),
+        extreme("10 000 obstacles", lambda rng: crowded(rng, 10_000, 0.02, 0.9), None, long=5),
+        extreme("obstacles of 0.1 mm", lambda rng: crowded(rng, 200, 1e-4, 0.4), None, ci=2),
+        extreme("obstacles of 100 m", lambda rng: crowded(rng, 6, 100.0, 0.7), None, ci=2),
+        extreme("denormal numbers", denormal, True, ci=4, long=200),
+    ],
+)
+def test_plans(make, solved, planners, budget, trials):
+    for seed in range(trials):
+        planner = planners[seed % len(planners)]
+        began = time.process_time()
+        solution = solve(make(np.random.default_rng(seed)), planner, budget, seed, clearance=False)
+        assert time.process_time() - began < LONGEST, (seed, planner)
+        plan = solution.plan
+        if plan.path is None:
+            assert not solved and plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT), (
+                seed,
+                planner,
+            )
+            assert plan.seconds < (budget.seconds or np.inf) + 1.0, (seed, planner)
+        else:
+            assert solution.certificate.valid and solved is not False, (seed, planner, solution.certificate)
