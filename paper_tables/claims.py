@@ -1,55 +1,60 @@
 """Every claim of the paper, judged by committed rows: does it hold?"""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.results.phase_name import PAPER_PHASES
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.results.statistics import geometric_mean_interval
-from paper_tables import multi_sequence_summary as tasks
-from paper_tables import place_task_statements as place
-from paper_tables import sensor_render as sensor
-from paper_tables.paper_numbers import PublishedValue, read_published
-from paper_tables.statements import NOTHING, Statement, Verdict, judged, judged_share, less, ruling
+from paper_tables.judging import NOTHING, Verdict, judged, less, ruling
+from paper_tables.measures import REFERENCE, Rows
+from paper_tables.multi_sequence_table import task_rows
+from paper_tables.paper_numbers import read_published
+from paper_tables.render import table_of
+from paper_tables.statements import (
+    ABOUT_SENSOR,
+    EXECUTION_TIME,
+    FASTER,
+    FEWER,
+    PAPERS_UPDATE,
+    PLANNING_TIME,
+    PREDICTED,
+    SENSED,
+    SHORTER,
+    SOLVED,
+    UPDATED,
+    Statement,
+)
 
 HISTOGRAM_VALUES = "values.csv"
+OMPL = "ompl-projected"
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(NamedTuple):
     """A results directory."""
 
     folder: Path
-    rows: Sequence[ResultRow]
-    """Empty for a figure."""
-    record: dict[str, Any]
-    """Its provenance."""
-
-
-Judge = Callable[[Evidence], tuple[Verdict, ...]]
+    rows: Rows  # empty for a figure
+    record: dict[str, Any]  # its provenance
 
 
 @dataclass(frozen=True)
 class Claim:
     """Something that the paper says."""
 
-    title: str
-    """In our words."""
-    paper: str
-    """The paper's number."""
-    judges: dict[str, Judge] = field(default_factory=dict)
-    """By results directory; none for what runs cannot decide."""
-    shown: Sequence[tuple[str, str]] = ()
-    """Metric and baseline of what stands for all in the short table, of Opt-CVQ-MPT."""
-    remark: str = ""
-    """What a reader must know to take the numbers rightly."""
+    title: str  # in our words
+    paper: str  # the paper's number
+    statements: Mapping[str, Sequence[Statement]] = field(
+        default_factory=dict
+    )  # by results directory that judges them
+    shown: Sequence[tuple[str, str]] = ()  # metric and baseline of what stands for all in the short table
+    remark: str = ""  # what a reader must know to take the numbers rightly
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class JudgedClaim:
     @property
     def verdict(self) -> str:
         """In words."""
-        if not self.claim.judges:
+        if not self.claim.statements:
             return "cannot be tested here"
         if not self.verdicts:
             return "not run"
@@ -71,60 +76,12 @@ class JudgedClaim:
         return "holds" if all(standing) else "holds in part" if any(standing) else "does not hold here"
 
 
-def _table_one(statements: Sequence[Statement]) -> Judge:
-    def judge(evidence: Evidence) -> tuple[Verdict, ...]:
-        return judged(statements, evidence.rows, read_published(*PLACE), place.VALUES)
-
-    return judge
-
-
-def _table_two(metric: str) -> Judge:
-    statements = [item for item in tasks.STATEMENTS if item.metric == metric]
-
-    def judge(evidence: Evidence) -> tuple[Verdict, ...]:
-        values = {time: value for time, (_, value) in tasks.TIMES.items()}
-        published: Sequence[PublishedValue] = read_published(*TASKS)
-        return judged(statements, tasks.task_rows(evidence.rows, PAPER_PHASES), published, values)
-
-    return judge
-
-
-def _sensed(evidence: Evidence) -> tuple[Verdict, ...]:
-    """Success in the map, truth of the paths, and the paper's comparison."""
-    solved = [row for row in evidence.rows if row.solved]
-    shares = [
-        verdict
-        for planner in place.PAPERS_PLANNERS
-        for what, metric, rows, counted in (
-            ("solves all scenes", "accuracy", evidence.rows, attrgetter("solved")),
-            ("plans paths free in truth", "true_free", solved, lambda row: row.true_free is True),
-        )
-        for verdict in judged_share(Statement(what, metric, 1.0, planner), rows, counted)
-    ]
-    published = read_published(*ROBOT)
-    return (*shares, *judged(sensor.STATEMENTS, evidence.rows, published, sensor.VALUES))
-
-
-def _updated(evidence: Evidence) -> tuple[Verdict, ...]:
-    """G of the predicted codes before and after the update, a pair a code."""
-    path = evidence.folder / HISTOGRAM_VALUES
-    with path.open(encoding="utf-8", newline="") as handle:
-        pairs = [(float(line["g_after"]), float(line["g_before"])) for line in csv.DictReader(handle)]
-    ratios = [after / before for after, before in pairs if after > 0.0 < before]
-    ours = less(geometric_mean_interval(ratios, np.random.default_rng(0)))
-    statement = Statement("draws from codes with less G(q)", "g", 0.0)
-    return (Verdict(statement, "the codes as predicted", None, ours, ruling(ours, 0.0)),)
-
-
-PLACE, ROBOT = ("place_task.csv", "Place Task"), ("place_task.csv", "Physical robot")
-TASKS = ("multi_sequence.csv", "Multi-sequence task")
-OMPL, OURS = "ompl-projected", "birrt"
 CLAIMS = (
     Claim(
         "plans twice as fast as earlier planners",
         "11.0 s, not 23.0 s",
-        {"place-task": _table_one(place.FASTER)},
-        (("time", OMPL), ("time", OURS), ("paper_cost", OMPL)),
+        {"place-task": FASTER},
+        (("time", OMPL), ("time", REFERENCE), ("paper_cost", OMPL)),
         "A state check costs a microsecond here and milliseconds in the paper's simulator, so that networks, which "
         "cost milliseconds in both, weigh more here. The paper's cost of work prices every projection and state check "
         "as there.",
@@ -132,44 +89,44 @@ CLAIMS = (
     Claim(
         "plans paths 35 to 40 % shorter",
         "35 to 40 % less",
-        {"place-task": _table_one(place.SHORTER)},
-        (("path_length", OMPL), ("path_length", OURS)),
+        {"place-task": SHORTER},
+        (("path_length", OMPL), ("path_length", REFERENCE)),
         "The paper's own table says 42 and 37 % against CBiRRT, 13 and 6 % against Atlas-RRT.",
     ),
     Claim(
         "solves 97 to 98 % of the problems",
         "97.6 and 98.4 %",
-        {"place-task": lambda evidence: place.solved_verdicts(evidence.rows)},
+        {"place-task": SOLVED},
         (("accuracy", NOTHING),),
         "The paper's planners had 50 to 100 s; how long ours had stands in the table's head.",
     ),
     Claim(
         "reduces planning time of the multi-sequence task by 45 %",
         "45 % less",
-        {"multi-sequence": _table_two("planning_time")},
+        {"multi-sequence": (PLANNING_TIME,)},
         (("planning_time", OMPL),),
         "Only the last of the three phases that the paper times is constrained.",
     ),
     Claim(
         "reduces execution time of the multi-sequence task by 18 %",
         "18 % less",
-        {"multi-sequence": _table_two("execution_time")},
+        {"multi-sequence": (EXECUTION_TIME,)},
         (("execution_time", OMPL),),
         "Here motions are timed under joint limits; the paper's is the wall-clock of a simulated controller.",
     ),
     Claim(
         "needs fewer vertices",
         "24 and 26, not 32 to 40",
-        {"place-task": _table_one(place.FEWER)},
-        (("vertices", OMPL), ("vertices", OURS)),
+        {"place-task": FEWER},
+        (("vertices", OMPL), ("vertices", REFERENCE)),
         "Our search keeps the states along an extension as vertices, OMPL's its end alone: only the comparison with "
         "birrt, the same search, is of like with like.",
     ),
     Claim(
         "updates codes so that fewer projections are needed",
         "no number",
-        {"controls": _table_one(place.PAPERS_UPDATE), "histogram": _updated},
-        (("projections", "cvq-mpt"), ("g", "the codes as predicted")),
+        {"controls": PAPERS_UPDATE, "histogram": (UPDATED,)},
+        (("projections", "cvq-mpt"), ("g", PREDICTED)),
         "G(q) is the squared violation of the constraint. The paper's update is our control `opt-algorithm-2`; what we "
         "call `opt-cvq-mpt` projects codes before it judges sequences of them. The histogram is of the Gaussians as "
         "the decoder gives them; planners sample wider ones (1.1 rad), which hardly notice the update.",
@@ -177,8 +134,8 @@ CLAIMS = (
     Claim(
         "generalises to sensor data without training",
         "10 of 10, and outperforms",
-        {"sensor": _sensed},
-        (("accuracy", NOTHING), ("true_free", NOTHING), ("time", OMPL), ("time", OURS)),
+        {"sensor": (*SENSED, *ABOUT_SENSOR)},
+        (("accuracy", NOTHING), ("true_free", NOTHING), ("time", OMPL), ("time", REFERENCE)),
         "The paper's scenes are not published: ours are rendered with the errors of a depth camera. In the paper's own "
         "table CVQ-MPT is slower than CBiRRT, and Opt-CVQ-MPT as fast.",
     ),
@@ -197,11 +154,37 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     return [
         JudgedClaim(
             claim,
-            tuple(v for name, judge in claim.judges.items() if name in found for v in judge(found[name])),
-            tuple(found[name] for name in claim.judges if name in found),
+            tuple(
+                v
+                for name, said in claim.statements.items()
+                if name in found
+                for v in _judged(said, found[name])
+            ),
+            tuple(found[name] for name in claim.statements if name in found),
         )
         for claim in CLAIMS
     ]
+
+
+def _judged(statements: Sequence[Statement], evidence: Evidence) -> tuple[Verdict, ...]:
+    if UPDATED in statements:
+        return (_updated(evidence),)
+    if not evidence.rows:
+        return ()
+    suite, rows = evidence.rows[0].suite, evidence.rows
+    paper = table_of(suite).paper
+    if suite == "multi-sequence":
+        rows = task_rows(rows, PAPER_PHASES)
+    return judged(statements, rows, read_published(*paper) if paper else ())
+
+
+def _updated(evidence: Evidence) -> Verdict:
+    """G of the predicted codes before and after the update, a pair a code."""
+    with (evidence.folder / HISTOGRAM_VALUES).open(encoding="utf-8", newline="") as handle:
+        pairs = [(float(line["g_after"]), float(line["g_before"])) for line in csv.DictReader(handle)]
+    ratios = [after / before for after, before in pairs if after > 0.0 < before]
+    ours = less(geometric_mean_interval(ratios, np.random.default_rng(0)))
+    return Verdict(UPDATED, PREDICTED, None, ours, ruling(ours, UPDATED.stated))
 
 
 def evidence_below(results: Path) -> dict[str, Evidence]:

@@ -8,15 +8,14 @@ from pathlib import Path
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import sessions
-from cvqmpt_lab.results.statistics import Interval
-from paper_tables.cells import Lines, estimate, markdown_table
 from paper_tables.claims import Evidence, JudgedClaim, evidence_below, judged_claims
 from paper_tables.committed import RESULTS
-from paper_tables.comparison import own_time, paired_ratio, paper_cost, share, work
+from paper_tables.judging import NOTHING, Verdict, less, statement_lines
+from paper_tables.measures import VALUES, fraction, paired_ratio, solved
 from paper_tables.paper_numbers import PUBLISHED, read_published
-from paper_tables.place_task_statements import ALGORITHM_2, VALUES
-from paper_tables.statements import NOTHING, Verdict, less, statement_lines
-from paper_tables.summary import by_planner
+from paper_tables.statements import ALGORITHM_2
+from paper_tables.table import by_planner
+from paper_tables.writers import Lines, change, estimate, markdown_table
 
 PAGE = PUBLISHED.parent / "README.md"
 README = PUBLISHED.parent.parent / "README.md"
@@ -33,14 +32,15 @@ WORDS = {
     "true_free": "free in truth",
 }
 YARDSTICKS = (
-    ("time", "ompl-projected", VALUES["time"]),
-    ("time at the paper's cost", "ompl-projected", paper_cost),
-    ("path length", "ompl-projected", VALUES["path_length"]),
-    ("time without goals", "birrt", own_time),
-    ("work", "birrt", work),
-    ("time at the paper's cost", "birrt", paper_cost),
-    ("path length", "birrt", VALUES["path_length"]),
+    ("time", "ompl-projected", "time"),
+    ("time at the paper's cost", "ompl-projected", "paper_cost"),
+    ("path length", "ompl-projected", "path_length"),
+    ("time without goals", "birrt", "own_time"),
+    ("work", "birrt", "work"),
+    ("time at the paper's cost", "birrt", "paper_cost"),
+    ("path length", "birrt", "path_length"),
 )
+"""Label, baseline, and which of `VALUES`."""
 TERMS = (
     "`ompl-projected` is the paper's CBiRRT as the paper ran it: OMPL's RRTConnect on a projected space. `birrt` is "
     "our own search (the paper's Algorithm 3) with uniform samples, the same search that `cvq-mpt` and `opt-cvq-mpt` "
@@ -51,16 +51,6 @@ TERMS = (
     "and 0.02 ms a projection, as in the paper's simulator, plus networks as measured here.",
     "A claim *holds* where every statement below it is confirmed or compatible, *in part* where some are.",
 )
-
-
-def change(reduction: Interval) -> str:
-    """A reduction (fraction) as a signed change [%]."""
-    middle, low, high = (
-        None if x is None else 0.0 - 100.0 * x for x in (reduction.estimate, reduction.high, reduction.low)
-    )
-    flipped = Interval(middle, low, high, reduction.n)
-    sign = "+" if (flipped.estimate or 0.0) > 0.0 else ""
-    return sign + estimate(flipped).replace("-", "−")
 
 
 def shown(judged: JudgedClaim) -> list[Verdict]:
@@ -176,9 +166,9 @@ def yardsticks(evidence: Evidence) -> Lines:
         ["planner", "runs", "solved [%]", *(f"{what} [%] against {whom}" for what, whom, _ in YARDSTICKS)]
     ]
     for name, rows in groups.items():
-        line = [name, str(len(rows)), estimate(share(rows, lambda row: row.solved))]
+        line = [name, str(len(rows)), estimate(fraction(rows, solved).scaled(100))]
         for _, whom, value in YARDSTICKS:
-            ratio = paired_ratio(rows, groups.get(whom, ()), value)
+            ratio = paired_ratio(rows, groups.get(whom, ()), VALUES[value])
             line.append(NOTHING if whom == name else change(less(ratio)))
         lines.append(line)
     return lines

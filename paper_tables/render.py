@@ -10,13 +10,12 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
-from paper_tables.constraints_render import render_constraints
-from paper_tables.multi_sequence_render import render_multi_sequence
+from paper_tables.constraints_table import constraints_table
+from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
-from paper_tables.place_task_render import render_place
-from paper_tables.robustness_render import render_robustness
-from paper_tables.sensor_render import render_sensor
-from paper_tables.summary import Rendered, rows_of_one_suite
+from paper_tables.place_task_table import place_task_table, sensor_table
+from paper_tables.robustness_table import robustness_table
+from paper_tables.table import Rendered, rows_of_one_suite
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class SuiteTable:
     """How the rows of a suite are rendered."""
 
     title: str
-    render: Callable[..., Rendered] = render_place
+    render: Callable[..., Rendered] = place_task_table
     paper: tuple[str, str] | None = None
     """File in ``published`` and environment there of the numbers that stand beside ours."""
 
@@ -46,17 +45,15 @@ TABLES: Mapping[str, SuiteTable] = {
     "robots-tiago": SuiteTable("Arm and torso of TIAGo in held-out scenes, hand upright"),
     "sensor": SuiteTable(
         "Scanned scenes, hand upright: planned in the map, judged in truth",
-        render_sensor,
+        sensor_table,
         ("place_task.csv", "Physical robot"),
     ),
-    "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", render_robustness),
-    "constraints": SuiteTable(
-        "Eight kinds of constraints, zero-shot, in held-out scenes", render_constraints
-    ),
+    "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", robustness_table),
+    "constraints": SuiteTable("Eight kinds of constraints, zero-shot, in held-out scenes", constraints_table),
     "open-door": SuiteTable("Open the shelf's door, the hand on its handle"),
     "multi-sequence": SuiteTable(
         "Multi-sequence task: open the shelf, take the can, stand it on the counter",
-        render_multi_sequence,
+        multi_sequence_table,
         ("multi_sequence.csv", "Multi-sequence task"),
     ),
 }

@@ -11,16 +11,16 @@ from cvqmpt_lab.results.statistics import Interval
 from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
-from paper_tables.comparison import (
+from paper_tables.measures import (
     REFERENCE,
     STATE_CHECK_COST,
     censored,
     own_time,
     paired_ratio,
-    typical,
+    problem_median,
     work,
 )
-from paper_tables.summary import by_planner, rows_of_one_suite
+from paper_tables.table import by_planner, rows_of_one_suite
 
 OURS = 1e-6
 """A free state of the kitchen, kinematics included (`cvqmpt bench collision`) [s]."""
@@ -58,7 +58,7 @@ def draw_cost(folder: Path) -> list[Path]:
         if name != REFERENCE
     }
     times = {
-        name: [typical(censored(rows, partial(time_at, price))) for price in PRICES]
+        name: [problem_median(censored(rows, partial(time_at, price))) for price in PRICES]
         for name, rows in groups.items()
     }
     microseconds = [1e6 * price for price in PRICES]

@@ -20,8 +20,8 @@ from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
 from experiments.suites.table import suite_named
-from paper_tables.comparison import RATIOS, REFERENCE, paired_ratio, share
-from paper_tables.summary import by_planner, rows_of_one_suite
+from paper_tables.measures import RATIOS, REFERENCE, fraction, paired_ratio
+from paper_tables.table import by_planner, rows_of_one_suite
 
 SEEDS = range(100, 105)
 """Of the uniform searches that say how hard a problem is; tables use small ones."""
@@ -99,7 +99,7 @@ def _measures(
         )
 
     def solved(rows: Sequence[ResultRow], part: frozenset[str]) -> Interval:
-        return share([row for row in rows if row.problem in part], attrgetter("solved"))
+        return fraction([row for row in rows if row.problem in part], attrgetter("solved")).scaled(100)
 
     return {**{name: ratio(name) for name in RATIO_NAMES}, "solved": solved}
 

@@ -14,7 +14,7 @@ from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, mea
 from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
-from paper_tables.comparison import REFERENCE
+from paper_tables.measures import REFERENCE
 
 RESTARTED = tuple(name for name in (REFERENCE, "opt-cvq-mpt", "roadmap-cvq") if name in PLANNERS)
 IMPROVED = "--optimize"

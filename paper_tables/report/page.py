@@ -1,33 +1,41 @@
-"""The report's html, from sections by a template; whatever comes from rows is escaped there."""
+"""The report: one html file of verdicts, tables, plots, rows and provenance; the template escapes text from rows."""
 
-from collections.abc import Callable, Sequence
+import base64
+import shlex
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.provenance import sessions
+from cvqmpt_lab.results.row import ResultRow
 from paper_tables.claims import Evidence, evidence_below, judged_claims, read_evidence
-from paper_tables.claims_page import TERMS, box_lines
-from paper_tables.report.sections import ROW_COLUMNS, Section, section_of
+from paper_tables.claims_page import TERMS, box_lines, wall_clock
+from paper_tables.measures import REFERENCE, VALUES, Rows, work
+from paper_tables.paper_numbers import read_published
+from paper_tables.render import SuiteTable, table_of
+from paper_tables.report import plots
+from paper_tables.report.check_cost import COSTS, against_reference, duration
+from paper_tables.table import by_planner
+from paper_tables.writers import Sections
 
 TEMPLATE = "page.html.j2"
-STYLES = {"holds": "holds", "holds in part": "part", "does not hold here": "not"}
-"""Of verdicts."""
+STYLES = {"holds": "holds", "holds in part": "part", "does not hold here": "not"}  # of verdicts
+PICTURES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
+ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "length [rad]", "what")
+MOST_BYTES = 2_000_000  # of a picture that is taken into the page
 
 
 def report_html(directory: Path, report: Callable[[int, int], None] = lambda done, total: None) -> str:
     """One self-contained file about a results directory, or all that are below a folder.
 
-    report: is told how many of them are done.
-
-    Raises
-    ------
-    InvalidInputError
-        When there are none, or they cannot be read.
+    report: is told how many of them are done. InvalidInputError when there are none, or they cannot be read.
     """
     found = evidence_of(Path(directory))
-    claims = [item for item in judged_claims(found) if item.verdicts or not item.claim.judges]
-    sections: list[Section] = []
+    claims = [item for item in judged_claims(found) if item.verdicts or not item.claim.statements]
+    sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
         sections.append(section_of(evidence))
@@ -35,13 +43,14 @@ def report_html(directory: Path, report: Callable[[int, int], None] = lambda don
     environment = Environment(
         loader=PackageLoader("paper_tables", "report"), autoescape=True, undefined=StrictUndefined
     )
+    data = [{key: section[key] for key in ("name", "rows", "again", "slider")} for section in sections]
     return environment.get_template(TEMPLATE).render(
         title="CVQ-MPT, reproduced",
         claims=box_lines(claims) if any(item.verdicts for item in claims) else [],
         styles=STYLES,
         terms=TERMS,
         sections=sections,
-        data=_data(sections),
+        data={"columns": ROW_COLUMNS, "sections": data},  # what the page's script reads
     )
 
 
@@ -59,18 +68,119 @@ def evidence_of(directory: Path) -> dict[str, Evidence]:
     return dict(sorted(found.items(), key=lambda item: (item[0] != "place-task", item[0])))
 
 
-def _data(sections: Sequence[Section]) -> dict[str, object]:
-    """What the page's script reads."""
+def section_of(evidence: Evidence) -> dict[str, Any]:
+    """Everything that the page says of a results directory."""
+    rows, name = evidence.rows, evidence.folder.name
+    suite = rows[0].suite if rows else name
+    table = table_of(suite) if rows else SuiteTable(f"Figure {name}")
+    published = read_published(*table.paper) if table.paper else ()
+    groups = by_planner(rows, published)
+    slider, slider_plot = _slider(groups)
     return {
-        "columns": ROW_COLUMNS,
-        "sections": [
+        "name": name,
+        "title": table.title if name == suite else f"{name}: {table.title}",
+        "blocks": _blocks(table.render(rows, published).sections) if rows else [],
+        "planners": list(groups),
+        "plots": _plots(groups) if rows else {},
+        "slider": slider,
+        "slider_plot": slider_plot,
+        "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
+        "again": f"cvqmpt plan {suite} --problem PROBLEM --planner PLANNER --seed SEED --picture plan.png",
+        "provenance": _provenance(evidence),
+        "pictures": _pictures(evidence.folder),
+    }
+
+
+def _blocks(sections: Sections) -> list[dict[str, Any]]:
+    """Titles with tables (the header first) and texts."""
+    found = []
+    for title, part in sections.items():
+        texts = [text for text in part if isinstance(text, str)]
+        lines = [line for line in part if not isinstance(line, str)]
+        if len(lines) == 1:  # a header alone
+            texts, lines = ["None."], []
+        if texts or lines:
+            found.append({"title": title, "texts": texts, "lines": lines})
+    return found
+
+
+def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
+    length = VALUES["path_length"]
+    drawn = {
+        "Solved against time": plots.solved_curve(groups),
+        "Path length, solved runs": plots.distribution(groups, length, "length [rad]", log=False),
+        "Work, solved runs": plots.distribution(groups, work, "projections and state checks"),
+        "Where time goes": plots.ledger(groups),
+    }
+    if REFERENCE in groups and len(groups) > 1:
+        for name, value, label in (("Work", work, "work"), ("Length", length, "length [rad]")):
+            title = f"{name}, problem by problem, against {REFERENCE}"
+            drawn[title] = plots.scatter(groups, REFERENCE, value, label)
+    return drawn
+
+
+def _slider(groups: Mapping[str, Rows]) -> tuple[dict[str, Any] | None, str]:
+    """What moves when a state check costs something else, and the plot under it."""
+    planners = against_reference(groups)
+    if not planners:
+        return None, ""
+    left, _, width, _ = plots.CHECK_COST_FRAME
+    slider = {
+        "frame": (left, width),
+        "costs": [duration(cost) for cost in COSTS],
+        "planners": [
             {
-                "name": section.name,
-                "rows": section.rows,
-                "again": section.again,
-                "repricing": section.repricing
-                and {k: v for k, v in section.repricing.items() if k != "plot"},
+                "name": item.planner,
+                "pays": item.pays,
+                "ratios": [(ratio.estimate, ratio.low, ratio.high) for ratio in item.ratios],
             }
-            for section in sections
+            for item in planners
         ],
     }
+    return slider, plots.check_costs(planners, list(groups))
+
+
+def _row(row: ResultRow) -> list[object]:
+    """In `ROW_COLUMNS`."""
+    what = row.fallback or row.detail or "" if row.solved else f"{row.fail_reason}: {row.detail or ''}"
+    time, effort, length = (
+        None if number is None else round(number, 4)
+        for number in (row.t_total_s, work(row), row.path_length_rad)
+    )
+    return [row.problem, row.seed, row.solved, time, effort, row.vertices, length, what]
+
+
+def _provenance(evidence: Evidence) -> dict[str, str]:
+    told: dict[str, list[str]] = {}
+    for session in sessions(evidence.record):
+        dirty = " with uncommitted changes" if session.get("git_dirty") else ""
+        facts = {
+            "command": shlex.join(session.get("command") or ["unknown"]),
+            "commit": f"{session.get('git_commit') or 'unknown'}{dirty}",
+            "date": session.get("date_utc"),
+            "machine": f"{session.get('cpu_model') or 'unknown'}, {session.get('cpu_count') or '?'} cores, "
+            f"{session.get('platform')}, python {session.get('python')}",
+            "weights": _pairs(session.get("weights", {}).items()),
+            "versions": _pairs((session.get("versions") or {}).items()),
+        }
+        for name, fact in facts.items():
+            if fact:
+                told.setdefault(name, []).append(str(fact))
+    joined = {name: " and ".join(dict.fromkeys(facts)) for name, facts in told.items()}
+    return {**joined, "time": wall_clock(evidence)}
+
+
+def _pairs(items: Iterable[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in sorted(items) if value)
+
+
+def _pictures(folder: Path) -> dict[str, str]:
+    """Data addresses of pictures beside the rows, by file name; of one that is there in two forms, the first."""
+    found: dict[str, str] = {}
+    for kind, mime in PICTURES.items():
+        for path in sorted(folder.glob(f"*{kind}")):
+            known = path.stem in {Path(name).stem for name in found}
+            if not known and path.stat().st_size < MOST_BYTES:
+                data = base64.b64encode(path.read_bytes()).decode("ascii")
+                found[path.name] = f"data:{mime};base64,{data}"
+    return found

@@ -14,11 +14,10 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import problem_key
-from paper_tables.comparison import Value
-from paper_tables.report.repricing import COSTS, Repriced, duration
+from paper_tables.measures import Value
+from paper_tables.report.check_cost import COSTS, CostRatios, duration
 
-Groups = Mapping[str, Sequence[ResultRow]]
-"""Rows by planner."""
+Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "cvqmpt",
@@ -37,11 +36,11 @@ STAGES = {
     "search": "t_plan_s",
     "shorten": "t_simplify_s",
 }
-"""Of the cost ledger."""
+"""Of a run, by the column that holds their time."""
 WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
-REPRICING_FRAME = (0.10, 0.14, 0.70, 0.82)
-"""Left, bottom, width and height of that plot's axes, of the figure: the slider's mark moves over it."""
+# Left, bottom, width and height of the axes over which the slider's mark moves, as shares of the figure.
+CHECK_COST_FRAME = (0.10, 0.14, 0.70, 0.82)
 
 
 def colours(names: Sequence[str]) -> dict[str, tuple[float, ...]]:
@@ -58,95 +57,95 @@ def svg(figure: Figure) -> str:
     return text[text.index("<svg") :]
 
 
+@matplotlib.rc_context(STYLE)
 def solved_curve(groups: Groups) -> str:
     """Share of runs solved within a time."""
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _axes(3.4)
-        for name, colour in colours(list(groups)).items():
-            rows = groups[name]
-            times = sorted(row.t_total_s for row in rows if row.solved and row.t_total_s)
-            if times:
-                shares = 100.0 * np.arange(1, len(times) + 1) / len(rows)
-                axes.step([*times], shares, where="post", color=colour, label=name, linewidth=1.4)
-        _finish(axes, "time, everything counted [s]", "solved [%]")
-        axes.set_ylim(0.0, 102.0)
-        return svg(figure)
+    figure, axes = _axes(3.4)
+    for name, colour in colours(list(groups)).items():
+        rows = groups[name]
+        times = sorted(row.t_total_s for row in rows if row.solved and row.t_total_s)
+        if times:
+            shares = 100.0 * np.arange(1, len(times) + 1) / len(rows)
+            axes.step([*times], shares, where="post", color=colour, label=name, linewidth=1.4)
+    _finish(axes, "time, everything counted [s]", "solved [%]")
+    axes.set_ylim(0.0, 102.0)
+    return svg(figure)
 
 
+@matplotlib.rc_context(STYLE)
 def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> str:
     """A box for each planner over its solved runs: quartiles, whiskers at 5 and 95 %."""
-    with matplotlib.rc_context(STYLE):
-        known = {
-            name: found
-            for name, rows in groups.items()
-            if (found := [float(x) for row in rows if row.solved and (x := value(row))])
-        }
-        figure, axes = _axes(0.7 + LINE * max(len(known), 1), legend=False)
-        boxes = axes.boxplot(
-            list(known.values())[::-1],
-            orientation="horizontal",
-            whis=(5, 95),
-            showfliers=False,
-            patch_artist=True,
-            widths=0.6,
-            medianprops={"color": "black"},
-        )
-        axes.set_yticks(range(1, len(known) + 1), list(known)[::-1])
-        palette = colours(list(groups))
-        for box, name in zip(boxes["boxes"], list(known)[::-1], strict=True):
-            box.set_facecolor((*palette[name][:3], 0.5))
-        _finish(axes, label, "", legend=False, log=log)
-        return svg(figure)
+    known = {
+        name: found
+        for name, rows in groups.items()
+        if (found := [float(x) for row in rows if row.solved and (x := value(row))])
+    }
+    figure, axes = _axes(0.7 + LINE * max(len(known), 1), legend=False)
+    boxes = axes.boxplot(
+        list(known.values())[::-1],
+        orientation="horizontal",
+        whis=(5, 95),
+        showfliers=False,
+        patch_artist=True,
+        widths=0.6,
+        medianprops={"color": "black"},
+    )
+    axes.set_yticks(range(1, len(known) + 1), list(known)[::-1])
+    palette = colours(list(groups))
+    for box, name in zip(boxes["boxes"], list(known)[::-1], strict=True):
+        box.set_facecolor((*palette[name][:3], 0.5))
+    _finish(axes, label, "", legend=False, log=log)
+    return svg(figure)
 
 
+@matplotlib.rc_context(STYLE)
 def ledger(groups: Groups) -> str:
     """Mean time of every stage, stacked."""
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _axes(0.9 + LINE * len(groups))
-        names, left = list(groups)[::-1], np.zeros(len(groups))
-        for k, (stage, column) in enumerate(STAGES.items()):
-            means = [1e3 * np.mean([getattr(row, column) or 0.0 for row in groups[name]]) for name in names]
-            axes.barh(names, means, left=left, color=matplotlib.colormaps["Set2"](k), label=stage)
-            left += means
-        _finish(axes, "mean time [ms], failures with what they took", "", log=False)
-        longest, middle = float(left.max()), float(np.median(left))
-        axes.set_xlim(0.0, 1.1 * (longest if longest < 8.0 * middle else middle) or 1.0)
-        for k, total in enumerate(left):
-            if total > axes.get_xlim()[1]:
-                axes.annotate(
-                    f"{total:.0f} ms →",
-                    (0.99, k),
-                    xycoords=("axes fraction", "data"),
-                    ha="right",
-                    va="center",
-                )
-        return svg(figure)
+    figure, axes = _axes(0.9 + LINE * len(groups))
+    names, left = list(groups)[::-1], np.zeros(len(groups))
+    for k, (stage, column) in enumerate(STAGES.items()):
+        means = [1e3 * np.mean([getattr(row, column) or 0.0 for row in groups[name]]) for name in names]
+        axes.barh(names, means, left=left, color=matplotlib.colormaps["Set2"](k), label=stage)
+        left += means
+    _finish(axes, "mean time [ms], failures with what they took", "", log=False)
+    longest, middle = float(left.max()), float(np.median(left))
+    axes.set_xlim(0.0, 1.1 * (longest if longest < 8.0 * middle else middle) or 1.0)
+    for k, total in enumerate(left):
+        if total > axes.get_xlim()[1]:
+            axes.annotate(
+                f"{total:.0f} ms →",
+                (0.99, k),
+                xycoords=("axes fraction", "data"),
+                ha="right",
+                va="center",
+            )
+    return svg(figure)
 
 
+@matplotlib.rc_context(STYLE)
 def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
     """Every planner against the baseline: a dot a problem, mean of logarithms over seeds; below the line is less."""
-    with matplotlib.rc_context(STYLE):
-        shown = [name for name in groups if name != baseline]
-        columns = min(4, len(shown))
-        rows = math.ceil(len(shown) / columns)
-        figure = Figure(figsize=(WIDTH, 0.4 + 2.0 * rows), layout="constrained")
-        reference, palette = _by_problem(groups[baseline], value), colours(list(groups))
-        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-        for axes, name in zip(panels, shown, strict=False):
-            own = _by_problem(groups[name], value)
-            both = sorted(own.keys() & reference.keys())
-            x, y = [reference[key] for key in both], [own[key] for key in both]
-            axes.loglog(x, y, ".", color=palette[name], markersize=3.5, alpha=0.6)
-            if x:
-                axes.axline((x[0], x[0]), (2.0 * x[0], 2.0 * x[0]), color="0.6", linewidth=0.8)
-            axes.set_title(name, fontsize=8.5)
-            _plain(axes.xaxis)
-            _plain(axes.yaxis)
-        for axes in panels[len(shown) :]:
-            axes.set_axis_off()
-        figure.supxlabel(f"{label} of {baseline}", fontsize=9)
-        figure.supylabel(f"{label} of the planner", fontsize=9)
-        return svg(figure)
+    shown = [name for name in groups if name != baseline]
+    columns = min(4, len(shown))
+    rows = math.ceil(len(shown) / columns)
+    figure = Figure(figsize=(WIDTH, 0.4 + 2.0 * rows), layout="constrained")
+    reference, palette = _by_problem(groups[baseline], value), colours(list(groups))
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes, name in zip(panels, shown, strict=False):
+        own = _by_problem(groups[name], value)
+        both = sorted(own.keys() & reference.keys())
+        x, y = [reference[key] for key in both], [own[key] for key in both]
+        axes.loglog(x, y, ".", color=palette[name], markersize=3.5, alpha=0.6)
+        if x:
+            axes.axline((x[0], x[0]), (2.0 * x[0], 2.0 * x[0]), color="0.6", linewidth=0.8)
+        axes.set_title(name, fontsize=8.5)
+        _plain(axes.xaxis)
+        _plain(axes.yaxis)
+    for axes in panels[len(shown) :]:
+        axes.set_axis_off()
+    figure.supxlabel(f"{label} of {baseline}", fontsize=9)
+    figure.supylabel(f"{label} of the planner", fontsize=9)
+    return svg(figure)
 
 
 def _by_problem(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
@@ -158,24 +157,24 @@ def _by_problem(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
     return {problem: math.exp(math.fsum(values) / len(values)) for problem, values in logs.items()}
 
 
-def repricing(planners: Sequence[Repriced], names: Sequence[str]) -> str:
+@matplotlib.rc_context(STYLE)
+def check_costs(planners: Sequence[CostRatios], names: Sequence[str]) -> str:
     """Ratios to the reference against the cost of a state check, with intervals."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.8))
-        axes, palette = figure.add_axes(REPRICING_FRAME), colours(names)
-        for item in planners:
-            low, middle, high = (
-                [getattr(ratio, bound) or math.nan for ratio in item.ratios]
-                for bound in ("low", "estimate", "high")
-            )
-            axes.fill_between(COSTS, low, high, color=palette[item.planner], alpha=0.12, linewidth=0.0)
-            axes.plot(COSTS, middle, color=palette[item.planner], label=item.planner, linewidth=1.4)
-        axes.axhline(1.0, color="0.5", linewidth=0.8)
-        axes.set_yscale("log")
-        _finish(axes, "cost of a state check", "time / birrt's")
-        axes.set_xlim(COSTS[0], COSTS[-1])
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(value)))
-        return svg(figure)
+    figure = Figure(figsize=(WIDTH, 3.8))
+    axes, palette = figure.add_axes(CHECK_COST_FRAME), colours(names)
+    for item in planners:
+        low, middle, high = (
+            [getattr(ratio, bound) or math.nan for ratio in item.ratios]
+            for bound in ("low", "estimate", "high")
+        )
+        axes.fill_between(COSTS, low, high, color=palette[item.planner], alpha=0.12, linewidth=0.0)
+        axes.plot(COSTS, middle, color=palette[item.planner], label=item.planner, linewidth=1.4)
+    axes.axhline(1.0, color="0.5", linewidth=0.8)
+    axes.set_yscale("log")
+    _finish(axes, "cost of a state check", "time / birrt's")
+    axes.set_xlim(COSTS[0], COSTS[-1])
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(value)))
+    return svg(figure)
 
 
 def _plain(axis: Axis) -> None:

@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from paper_tables.cells import MOST_COLUMNS, latex_table
 from paper_tables.committed import RESULTS
+from paper_tables.writers import MOST_COLUMNS, latex_table
 
 TABLES = sorted(RESULTS.glob("*/table.tex"))
 COMPILER = shutil.which("pdflatex")

@@ -23,7 +23,7 @@ from experiments.rows import Run, phase_rows
 from experiments.suites.door_task import OPEN
 from experiments.suites.multi_sequence import CAN_NAME, world
 from experiments.suites.place_task import DOOR
-from paper_tables.multi_sequence_summary import task_rows
+from paper_tables.multi_sequence_table import task_rows
 
 BUDGET = Budget(seconds=20.0)
 RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)

@@ -5,7 +5,7 @@ from made_rows import a_failure, a_results_folder, a_row
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
-from paper_tables.run_comparison import clear, compared, comparison_lines
+from paper_tables.compare_runs import clear, compared, comparison_lines
 
 
 def run(time, solved=range(20), planner="birrt", **values):

@@ -1,28 +1,18 @@
 """Two runs of the same problems, before and after a change: what is different, paired by problem and seed."""
 
 from collections.abc import Collection, Mapping, Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables.cells import Lines, number
-from paper_tables.claims_page import change
-from paper_tables.comparison import Value, paired_ratio, share, work
-from paper_tables.statements import less
-from paper_tables.summary import by_planner
+from paper_tables.judging import less
+from paper_tables.measures import VALUES, Rows, fraction, paired_ratio, solved
+from paper_tables.table import by_planner
+from paper_tables.writers import Lines, change, number
 
-VALUES: Mapping[str, Value] = {
-    "time": attrgetter("t_total_s"),
-    "work": work,
-    "length": attrgetter("path_length_rad"),
-}
-MOST_NAMES = 3
-"""Runs that a refusal names."""
-
-Pair = tuple[str, int]
-"""Problem and seed."""
+COMPARED = {"time": VALUES["time"], "work": VALUES["work"], "length": VALUES["path_length"]}
+MOST_NAMES = 3  # of runs, in a refusal
+Pair = tuple[str, int]  # problem and seed
 
 
 class Compared(NamedTuple):
@@ -30,19 +20,14 @@ class Compared(NamedTuple):
 
     planner: str
     pairs: int
-    solved: tuple[Interval, Interval]
-    """Percentages."""
-    gained: tuple[Pair, ...]
-    """That B alone solves."""
-    lost: tuple[Pair, ...]
-    """That A alone solves."""
-    changes: Mapping[str, Interval]
-    """Of VALUES from A to B, as reductions (fractions), over the runs that both solve."""
-    same_paths: int
-    """Runs whose paths are equal bit for bit."""
+    solved: tuple[Interval, Interval]  # [%]
+    gained: tuple[Pair, ...]  # that B alone solves
+    lost: tuple[Pair, ...]  # that A alone solves
+    changes: Mapping[str, Interval]  # of COMPARED, as reductions (fractions), over the runs that both solve
+    same_paths: int  # runs whose paths are equal bit for bit
 
 
-def compared(a: Sequence[ResultRow], b: Sequence[ResultRow]) -> list[Compared]:
+def compared(a: Rows, b: Rows) -> list[Compared]:
     """Every planner that both have.
 
     Raises
@@ -64,7 +49,7 @@ def compared(a: Sequence[ResultRow], b: Sequence[ResultRow]) -> list[Compared]:
     return [_compared(name, groups[0][name], groups[1][name]) for name in common]
 
 
-def _compared(planner: str, a: Sequence[ResultRow], b: Sequence[ResultRow]) -> Compared:
+def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     rows = [{(row.problem, row.seed): row for row in run} for run in (a, b)]
     for here, there, what in ((rows[0], rows[1], "A"), (rows[1], rows[0], "B")):
         alone = [pair for pair in here if pair not in there]
@@ -76,10 +61,10 @@ def _compared(planner: str, a: Sequence[ResultRow], b: Sequence[ResultRow]) -> C
     return Compared(
         planner=planner,
         pairs=len(pairs),
-        solved=(share(a, attrgetter("solved")), share(b, attrgetter("solved"))),
+        solved=(fraction(a, solved).scaled(100), fraction(b, solved).scaled(100)),
         gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
         lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
-        changes={name: less(paired_ratio(b, a, value)) for name, value in VALUES.items()},
+        changes={name: less(paired_ratio(b, a, value)) for name, value in COMPARED.items()},
         same_paths=sum(old.path_sha256 == new.path_sha256 is not None for _, old, new in pairs),
     )
 
@@ -92,7 +77,7 @@ def named(pairs: Collection[Pair]) -> str:
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
     """A line a planner."""
-    lines = [["planner", "runs", "solved A, B [%]", *(f"{name} [%]" for name in VALUES), "same paths"]]
+    lines = [["planner", "runs", "solved A, B [%]", *(f"{name} [%]" for name in COMPARED), "same paths"]]
     for item in found:
         solved = ", ".join(number(part.estimate) for part in item.solved)
         changes = [change(part) if part.estimate is not None else "–" for part in item.changes.values()]

@@ -1,20 +1,20 @@
-"""Cells of tables: numbers, intervals, aligned text, markdown, LaTeX and csv."""
+"""How tables are written: numbers, intervals, aligned text, Markdown, LaTeX and csv."""
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
 _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
-
-MOST_COLUMNS = 5
-"""Of numbers side by side on a page of LaTeX."""
+MOST_COLUMNS = 5  # of numbers side by side on a page of LaTeX
 
 Lines = Sequence[Sequence[str]]
 """A table as lines of cells, the header first."""
+Sections = Mapping[str, Lines | Sequence[str]]
+"""Tables and lists of notes by title; what has no title comes first and is plain text."""
 
 
 def latex(text: str) -> str:
@@ -46,20 +46,48 @@ def estimate(interval: Interval) -> str:
     return f"{number(interval.estimate)} {bounds(interval)}".strip()
 
 
+def change(reduction: Interval) -> str:
+    """A reduction (fraction) as a signed change [%]."""
+    middle, low, high = (
+        None if x is None else 0.0 - 100.0 * x for x in (reduction.estimate, reduction.high, reduction.low)
+    )
+    sign = "+" if (middle or 0.0) > 0.0 else ""
+    return sign + estimate(Interval(middle, low, high, reduction.n)).replace("-", "−")
+
+
 def padded(lines: Lines) -> list[list[str]]:
     """Cells of equal width in every column."""
     widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
     return [[cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines]
 
 
-def markdown_table(lines: Lines, none: str = "None.") -> str:
-    """A markdown table whose columns line up in a terminal; the word for it when there is only a header."""
+def text_lines(lines: Lines) -> list[str]:
+    """A table for a terminal."""
+    return ["  ".join(line).rstrip() for line in padded(lines)]
+
+
+def markdown_table(lines: Lines) -> str:
+    """A Markdown table whose columns line up in a terminal; "None." when there is only a header."""
     if len(lines) < 2:
-        return f"{none}\n"
+        return "None.\n"
     escaped = [[cell.replace("|", "\\|").ljust(3) for cell in line] for line in lines]
     header, *rest = padded(escaped)
     rule = ["-" * len(cell) for cell in header]
     return "\n".join(f"| {' | '.join(line)} |" for line in (header, rule, *rest)) + "\n"
+
+
+def markdown(sections: Sections) -> str:
+    """Sections as Markdown; empty ones are left out."""
+    return "\n".join(
+        f"## {title}\n\n{_section(part)}" if title else "".join(f"{text}\n" for text in part)
+        for title, part in sections.items()
+        if part
+    )
+
+
+def _section(part: Lines | Sequence[str]) -> str:
+    lines = [line for line in part if not isinstance(line, str)]
+    return markdown_table(lines) if lines else "".join(f"- {text}\n" for text in part)
 
 
 def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
@@ -75,8 +103,7 @@ def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
     return "".join(texts)
 
 
-def _latex_float(head: str, blocks: Sequence[Lines]) -> str:
-    """One of them; head: its caption."""
+def _latex_float(caption: str, blocks: Sequence[Lines]) -> str:
     body: list[str] = []
     for block in blocks:
         body += [r"\midrule"] if body else []
@@ -85,7 +112,7 @@ def _latex_float(head: str, blocks: Sequence[Lines]) -> str:
         [
             r"\begin{table*}[t]",
             r"  \centering\scriptsize\setlength{\tabcolsep}{3pt}",
-            f"  {head}",
+            f"  {caption}",
             rf"  \begin{{tabular}}{{ll{'c' * (len(blocks[0][0]) - 2)}}}",
             r"    \toprule",
             *(f"    {line}" for line in body),

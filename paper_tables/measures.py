@@ -1,0 +1,276 @@
+"""What tables measure: values of a row by name, statistics over rows, ratios to a baseline, easy and hard problems.
+
+Pure functions of rows. The work of a run is its projections and state checks, which do not depend on the machine.
+Seeds of one problem are not independent: everywhere a problem counts once.
+"""
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from statistics import fmean, median
+from typing import Literal
+
+import numpy as np
+
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import (
+    Interval,
+    ProblemKey,
+    geometric_mean_interval,
+    mean_of_solved,
+    median_interval,
+    problem_key,
+    wilson_interval,
+)
+
+REFERENCE = (
+    "birrt"  # whose work says how hard a problem is, and against whom easy and hard problems are compared
+)
+HARD_SHARE = 1 / 3
+STATE_CHECK_COST = (
+    3.5e-3  # [s] PyBullet asked for all distances of a Panda in this kitchen: 0.7 ms itself, 2.8 others
+)
+# Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does more in Python,
+# so this is a lower bound and favours planners that project much.
+PROJECTION_COST = 2e-5
+
+Rows = Sequence[ResultRow]
+Value = Callable[[ResultRow], float | None]  # of a run; None where the row does not say it
+solved = attrgetter("solved")
+
+
+def work(row: ResultRow) -> float | None:
+    """Projections and state checks of the search."""
+    if row.n_projections is None or row.n_state_checks is None:
+        return None
+    return float(row.n_projections + row.n_state_checks)
+
+
+def network_time(row: ResultRow) -> float:
+    """What networks and the latent update took [s]."""
+    return sum(t or 0.0 for t in (row.t_encode_s, row.t_predict_s, row.t_optimize_s))
+
+
+def search_cost(row: ResultRow, projection: float, state_check: float) -> float | None:
+    """Search at these costs of a projection and a state check [s], and networks as measured; nothing else."""
+    if row.n_projections is None or row.n_state_checks is None:
+        return None
+    return row.n_projections * projection + row.n_state_checks * state_check + network_time(row)
+
+
+def paper_cost(row: ResultRow) -> float | None:
+    """The same at what work costs in a setting like the paper's [s]."""
+    return search_cost(row, PROJECTION_COST, STATE_CHECK_COST)
+
+
+def own_time(row: ResultRow) -> float | None:
+    """Total time without goal inverse kinematics, which is the same for all planners [s]."""
+    return None if row.t_total_s is None else row.t_total_s - (row.t_goals_s or 0.0)
+
+
+def _planning_and_execution(row: ResultRow) -> float | None:
+    if row.t_total_s is None or row.execution_time_s is None:
+        return None
+    return row.t_total_s + row.execution_time_s
+
+
+VALUES: Mapping[str, Value] = {
+    "time": attrgetter("t_total_s"),
+    "own_time": own_time,
+    "goals_time": attrgetter("t_goals_s"),
+    "network_time": network_time,
+    "search_time": attrgetter("t_plan_s"),
+    "simplify_time": attrgetter("t_simplify_s"),
+    "sense_time": attrgetter("t_sense_s"),
+    "whole_time": attrgetter("t_whole_s"),
+    "planning_time": attrgetter("t_total_s"),
+    "execution_time": attrgetter("execution_time_s"),
+    "total_time": _planning_and_execution,
+    "work": work,
+    "paper_cost": paper_cost,
+    "projections": attrgetter("n_projections"),
+    "newton_iterations": attrgetter("n_newton_iterations"),
+    "state_checks": attrgetter("n_state_checks"),
+    "vertices": attrgetter("vertices"),
+    "path_length": attrgetter("path_length_rad"),
+    "raw_length": attrgetter("path_length_raw_rad"),
+    "true_clearance": attrgetter("true_clearance_m"),
+}
+"""Of a row, by the name that tables, statements and comparisons use."""
+
+RATIOS: Mapping[str, tuple[str, Value]] = {
+    "work_ratio": ("work", work),
+    "time_ratio": ("time", VALUES["time"]),
+    "own_time_ratio": ("time without goals", own_time),
+    "length_ratio": ("path length", VALUES["path_length"]),
+}
+"""What is compared on easy and hard problems: name of the metric, its label, its value."""
+
+
+# ---------------------------------------------------------------- statistics over rows
+
+
+def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
+    """Rows of equal problems together, in the order in which they come."""
+    found: dict[str, list[ResultRow]] = {}
+    for row in rows:
+        found.setdefault(row.problem, []).append(row)
+    return list(found.values())
+
+
+def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
+    """Values of the rows that say one, by problem; problems where none does are left out."""
+    found = ([number for row in seeds if (number := value(row)) is not None] for seeds in by_problem(rows))
+    return [numbers for numbers in found if numbers]
+
+
+def censored(rows: Rows, value: Value) -> list[list[float]]:
+    """Values of solved runs and +inf for failures, by problem; nothing when no solved run has one."""
+    paths = [row for row in rows if row.solved]
+    if paths and not values_of(paths, value):
+        return []
+    return values_of(rows, lambda row: value(row) if row.solved else math.inf)
+
+
+def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
+    """Share of the rows with Wilson's interval; a problem counts by its share of seeds."""
+    shares = [fmean(map(counted, seeds)) for seeds in by_problem(rows)]
+    return wilson_interval(math.fsum(shares), len(shares))
+
+
+def problem_median(values: Iterable[Sequence[float]]) -> Interval:
+    """Median over problems, of each one's median over seeds."""
+    return median_interval([median(seeds) for seeds in values])
+
+
+def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
+    """Mean of finite values; each bootstrap starts from the same random seed, so that columns do not interact."""
+    finite = ([number for number in seeds if math.isfinite(number)] for seeds in values)
+    return mean_of_solved([fmean(seeds) for seeds in finite if seeds], np.random.default_rng(0))
+
+
+def paired_ratio(
+    rows: Iterable[ResultRow],
+    baseline: Iterable[ResultRow],
+    value: Value,
+    counted: Callable[[ResultRow], bool] | None = None,
+) -> Interval:
+    """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
+
+    Runs are paired by problem and seed; logarithms of a problem's seeds are averaged first. Values that are not
+    positive have no ratio and are left out. counted: which rows count (all).
+    """
+    reference = {problem_key(row): value(row) for row in baseline if row.solved}
+    logs: dict[str, list[float]] = {}
+    for row in rows:
+        own, other = value(row) if row.solved else None, reference.get(problem_key(row))
+        if own and other and min(own, other) > 0.0 and (counted is None or counted(row)):
+            logs.setdefault(row.problem, []).append(math.log(own / other))
+    ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
+    return geometric_mean_interval(ratios, np.random.default_rng(0))
+
+
+# ---------------------------------------------------------------- easy and hard problems
+
+
+@dataclass(frozen=True)
+class Split:
+    """Easy and hard runs, by problem and seed."""
+
+    easy: frozenset[ProblemKey]
+    hard: frozenset[ProblemKey]
+
+    @property
+    def parts(self) -> Mapping[str, frozenset[ProblemKey]]:
+        """All runs, the easy ones, the hard ones."""
+        return {"all": self.easy | self.hard, "easy": self.easy, "hard": self.hard}
+
+
+def split_by_work(reference: Iterable[ResultRow]) -> Split:
+    """Split the runs of one planner: hard are those whose problem is above two thirds of the others in median work.
+
+    The median is over the planner's other seeds, so that a problem is not called hard because of the very run that
+    others are compared with; with one seed it is that one. A failed run's work is infinite. At most a third are hard:
+    ties are easy. Runs of problems whose rows do not say their work are left out.
+    """
+    rows = [row for row in reference if not row.solved or work(row) is not None]
+    hard: set[ProblemKey] = set()
+    for seed in {row.seed for row in rows}:
+        problems = _hard_problems([row for row in rows if row.seed != seed] or rows)
+        hard |= {problem_key(row) for row in rows if row.seed == seed and row.problem in problems}
+    return Split(frozenset(map(problem_key, rows)) - hard, frozenset(hard))
+
+
+def _hard_problems(rows: Rows) -> frozenset[str]:
+    efforts = {
+        seeds[0].problem: median(censored([row], work)[0][0] for row in seeds) for seeds in by_problem(rows)
+    }
+    ordered = sorted(efforts.values())
+    last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
+    return frozenset(problem for problem, effort in efforts.items() if effort > ordered[last_easy])
+
+
+# ---------------------------------------------------------------- columns
+
+
+@dataclass(frozen=True)
+class SuiteRuns:
+    """The rows of one suite, and what columns compare a planner's rows with."""
+
+    rows: Rows
+    groups: Mapping[str, Rows]  # by planner (and backend, where a planner ran with several)
+    solving: Sequence[str]  # planners that solved something
+    joint: Collection[ProblemKey]  # runs that all of these solved
+    split: Split  # by the work of REFERENCE; empty where that was not run
+
+    def baseline(self, planner: str) -> Rows:
+        """Rows that ratios are against; none where it was not run."""
+        return next((rows for rows in self.groups.values() if rows[0].planner == planner), ())
+
+
+Measure = Callable[[Rows, SuiteRuns], Interval]
+"""The number of a column for a planner's rows."""
+Over = Literal["all", "solved", "joint", "stated"]
+"""All runs with failures infinite; solved runs; runs that every planner solved; runs that say a value."""
+
+
+def share_of(
+    counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] = lambda row: True
+) -> Measure:
+    """Percentage of the runs of a kind, with Wilson's interval."""
+    return lambda rows, runs: fraction([row for row in rows if among(row)], counted).scaled(100)
+
+
+def median_of(value: str, over: Over = "all") -> Measure:
+    """Median of a value of `VALUES`, with an order-statistic interval."""
+    return lambda rows, runs: problem_median(_numbers(rows, runs, value, over))
+
+
+def mean_of(value: str, over: Over = "all") -> Measure:
+    """Mean of the finite ones, with a bootstrap interval."""
+    return lambda rows, runs: problem_mean(_numbers(rows, runs, value, over))
+
+
+def _numbers(rows: Rows, runs: SuiteRuns, value: str, over: Over) -> list[list[float]]:
+    if over == "all":
+        return censored(rows, VALUES[value])
+    chosen = [row for row in rows if row.solved or over == "stated"]
+    if over == "joint":
+        chosen = [row for row in chosen if problem_key(row) in runs.joint]
+    return values_of(chosen, VALUES[value])
+
+
+def ratio_to(baseline: str, value: Value, part: str | None = None) -> Measure:
+    """See `paired_ratio`; on a part of the split, or everywhere."""
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        counted = None if part is None else runs.split.parts[part]
+        return paired_ratio(
+            rows,
+            runs.baseline(baseline),
+            value,
+            None if counted is None else lambda row: problem_key(row) in counted,
+        )
+
+    return measure

@@ -1,0 +1,204 @@
+"""The paper's Table II: planning, execution and total time of whole tasks, and every phase.
+
+A row is one planned phase. Times of a task are sums over its phases: those that the paper times, or all.
+"""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+
+from cvqmpt_lab.results.phase_name import PAPER_PHASES, split_problem
+from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
+from paper_tables.judging import judged, statement_lines
+from paper_tables.measures import Measure, mean_of, median_of, share_of, solved
+from paper_tables.paper_numbers import PublishedValue, notes_on
+from paper_tables.statements import ABOUT_MULTI_SEQUENCE
+from paper_tables.table import (
+    BriefColumn,
+    Column,
+    Entry,
+    Rendered,
+    brief_lines,
+    count_lines,
+    csv_of,
+    entry,
+    group_lines,
+    latex_planners,
+    seed_notes,
+    suite_runs,
+)
+from paper_tables.writers import Lines, number
+
+PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}  # that a time sums over
+PARTS: Mapping[str, str] = {
+    "paper": "the three phases that the paper times (reach the handle, reach the can, carry)",
+    "all": "all planned phases",
+}
+TIMES: Mapping[str, str] = {
+    "planning_time": "Planning",
+    "execution_time": "Execution",
+    "total_time": "Total",
+}
+STATISTICS = {"mean": mean_of, "median": median_of}
+
+
+def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
+    """One row for each task, planner, seed and backend: sums over the named phases, or all.
+
+    ``t_total_s`` is planning and ``execution_time_s`` execution. A task is solved when all its phases
+    are, the others too; the reason of a failure is that of its first failed phase.
+    """
+    groups: dict[tuple, list[ResultRow]] = {}
+    for row in sorted_rows(rows):
+        groups.setdefault(row.key._replace(problem=row.item), []).append(row)
+    return [_task_row(group, phases) for group in groups.values()]
+
+
+def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> ResultRow:
+    failed = next((row for row in group if not row.solved), None)
+    counted = [row for row in group if phases is None or split_problem(row.problem).phase in phases]
+    detail = (
+        f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}" if failed else None
+    )
+    return ResultRow(
+        **group[0].key._replace(problem=group[0].item)._asdict(),
+        solved=failed is None,
+        fail_reason=failed.fail_reason if failed else None,
+        detail=detail,
+        certified=True if failed is None else None,
+        t_total_s=sum(row.t_total_s or 0.0 for row in counted),
+        execution_time_s=sum(row.execution_time_s or 0.0 for row in counted) if failed is None else None,
+        path_length_rad=sum(row.path_length_rad or 0.0 for row in counted) if failed is None else None,
+    )
+
+
+def reached(rows: Iterable[ResultRow], phase: str) -> list[ResultRow]:
+    """Rows of a phase that was tried."""
+    return [
+        row
+        for row in rows
+        if split_problem(row.problem).phase == phase and row.fail_reason is not FailReason.NOT_REACHED
+    ]
+
+
+def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure:
+    """A number of whole tasks instead of phases."""
+    return lambda rows, runs: measure(task_rows(rows, phases), runs)
+
+
+def time_metric(time: str, part: str, statistic: str) -> str:
+    """Name of the column of a time of `TIMES`, summed over a part of `PARTS`, as "mean" or "median"."""
+    return f"{time}_of_{part}_phases_{statistic}"
+
+
+TASK_COLUMNS: Mapping[str, Column] = {
+    "solved": Column("Solved", "%", of_tasks(share_of(solved))),
+    **{
+        time_metric(time, part, name): Column(
+            label, "s", of_tasks(statistic(time), phases), time if (part, name) == ("paper", "mean") else None
+        )
+        for part, phases in PHASES.items()
+        for time, label in TIMES.items()
+        for name, statistic in STATISTICS.items()
+    },
+}
+
+
+def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> Column:
+    """Over the runs that reached the phase, failures as infinite."""
+    column = Column(f"{label} [{unit}]", unit, median_of(value))
+    return column if interval else replace(column, cell=lambda ours: number(ours.estimate))
+
+
+PHASE_COLUMNS: Mapping[str, Column] = {
+    "solved": Column("solved [%]", "%", share_of(solved), cell=lambda ours: number(ours.estimate)),
+    "goals": _median("goals", "goals_time"),
+    "networks": _median("networks", "network_time"),
+    "search": _median("search", "search_time"),
+    "simplify": _median("simplify", "simplify_time"),
+    "planning": _median("planning", "planning_time", interval=True),
+    "execution": _median("execution", "execution_time", interval=True),
+    "length": _median("path length", "path_length", "rad"),
+}
+HEADLINES = {"accuracy": {"ours": "solved"}} | {
+    time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
+}
+BRIEF = (
+    BriefColumn("solved [%]", "accuracy", "solved"),
+    BriefColumn(
+        "planning [s]",
+        "planning_time",
+        time_metric("planning_time", "paper", "mean"),
+        "our mean",
+        interval=True,
+    ),
+    BriefColumn(
+        "execution [s]", "execution_time", time_metric("execution_time", "paper", "mean"), "our mean"
+    ),
+)
+NOTES = (
+    "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
+    "A task counts as solved when every phase has a certified path that could be timed; Wilson interval.",
+    "Planning: wall time of goals, networks, search and simplification, attempts that were taken back included. "
+    "Mean over solved tasks (bootstrap interval), because the paper gives means; median with failures as infinite.",
+    "Execution: duration of the fastest motion within a tenth of the joints' velocity and acceleration limits, at rest "
+    "between phases. The paper's is the wall clock of a simulated controller following waypoints: only ratios compare.",
+    "The paper replays a stored motion to open the door; here it is planned, as is the straight way to the can. "
+    "Both are outside the first table's times and inside the second's.",
+    "The final pose of the can is drawn for every task; in the published code a side effect makes it the same in all.",
+    "Fallbacks: phases whose path did not come the way the planner's name promises; they count as its own.",
+)
+
+
+def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+    """Table II for both sets of phases, statements, the breakdown by phase, fallbacks, failures and notes.
+
+    Planners that were not run are left out, and statements about them. InvalidInputError for rows that are no phases.
+    """
+    runs = suite_runs(rows, published)
+    names = [split_problem(row.problem) for row in runs.rows]
+    phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
+    tasks, by_phase, in_csv = [], [], []
+    for name, own in runs.groups.items():
+        tasks.append(entry(name, own, runs, TASK_COLUMNS, published))
+        parts = [
+            entry(name, reached(own, phase), runs, PHASE_COLUMNS, group=(phase,), suffix=f"_in_{phase}")
+            for phase in phases
+        ]
+        by_phase += parts
+        in_csv += [tasks[-1], *parts]
+    by_phase.sort(key=lambda item: phases.index(item.group[0]))
+    shown = {row.planner for row in runs.rows}
+    notes = notes_on(value for value in published if value.planner in shown)
+    size = f"{len({name.task for name in names})} tasks"
+    suite = runs.rows[0].suite
+    sections = {
+        **{f"{size}, {text}": _time_lines(tasks, part) for part, text in PARTS.items()},
+        "What the paper says": statement_lines(
+            judged(ABOUT_MULTI_SEQUENCE, task_rows(runs.rows, PAPER_PHASES), published)
+        ),
+        "By phase (medians over the runs that reached it)": group_lines(by_phase, ["phase"], "n"),
+        "Fallbacks": count_lines(tasks, "fallbacks"),
+        "Failures": count_lines(tasks, "failures"),
+        "Notes": [*NOTES, *seed_notes(runs), *notes],
+    }
+    caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
+    return Rendered(
+        size=size,
+        sections=sections,
+        latex=latex_planners(caption, suite, tasks, HEADLINES),
+        csv=csv_of(suite, in_csv),
+        brief=brief_lines(tasks, BRIEF),
+    )
+
+
+def _time_lines(found: Sequence[Entry], part: str) -> Lines:
+    """Solved tasks and every time; the paper's beside those of its own phases."""
+    header = ["planner", "tasks run", "solved [%]"]
+    lines = [header, *([item.title, str(item.n_runs), item.cell("solved")] for item in found)]
+    for time, label in TIMES.items():
+        header += [f"{label} [s]: paper", "ours, mean"] if part == "paper" else [f"{label} [s]: mean"]
+        header.append("median")
+        for line, item in zip(lines[1:], found, strict=True):
+            line += [item.paper_cell(time)] if part == "paper" else []
+            line += [item.cell(time_metric(time, part, statistic)) for statistic in STATISTICS]
+    return lines

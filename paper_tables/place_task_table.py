@@ -1,0 +1,269 @@
+"""The paper's Table I and all tables of its layout: accuracy, time, vertices and path length beside the paper's."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+
+from cvqmpt_lab.results.row import ResultRow
+from paper_tables.judging import judged, statement_lines
+from paper_tables.measures import (
+    PROJECTION_COST,
+    RATIOS,
+    REFERENCE,
+    STATE_CHECK_COST,
+    VALUES,
+    SuiteRuns,
+    mean_of,
+    median_of,
+    ratio_to,
+    share_of,
+    solved,
+)
+from paper_tables.paper_numbers import PublishedValue, notes_on
+from paper_tables.statements import ABOUT_PLACE_TASK, ABOUT_SENSOR
+from paper_tables.table import (
+    BriefColumn,
+    Column,
+    Entry,
+    Rendered,
+    brief_lines,
+    column_lines,
+    count_lines,
+    csv_of,
+    entries,
+    latex_planners,
+    seed_notes,
+    suite_runs,
+)
+from paper_tables.writers import Lines, Sections
+
+BASELINE = "ompl-projected"
+CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # [s]
+PARTS = ("all", "easy", "hard")
+
+
+def _within(time: float, row: ResultRow) -> bool:
+    return row.solved and row.t_total_s is not None and row.t_total_s <= time
+
+
+def curve_metric(time: float) -> str:
+    """Name of the column "solved within `time` [s]"."""
+    return f"solved_within_{time:g}_s"
+
+
+def split_metric(ratio: str, part: str) -> str:
+    """Name of a ratio's column on a part of the problems."""
+    return f"{ratio}_{part}_of_{REFERENCE}"
+
+
+COLUMNS: Mapping[str, Column] = {
+    "accuracy": Column("Accuracy", "%", share_of(solved), "accuracy"),
+    "time_median": Column("Time", "s", median_of("time")),
+    "time_mean": Column("Time", "s", mean_of("time"), "time"),
+    "vertices_median": Column("Vertices", "1", median_of("vertices", "solved")),
+    "vertices_mean": Column("Vertices", "1", mean_of("vertices", "solved"), "vertices"),
+    "path_length_median": Column("Path length", "rad", median_of("path_length", "joint")),
+    "path_length_mean": Column("Path length", "rad", mean_of("path_length", "joint"), "path_length"),
+    "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
+    "projections_median": Column("projections", "1", median_of("projections")),
+    "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
+    "state_checks_median": Column("state checks", "1", median_of("state_checks")),
+    "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
+    "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
+    "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
+    **{
+        f"paper_cost_ratio_{name}": Column(f"the same / {name}", "1", ratio_to(name, VALUES["paper_cost"]))
+        for name in (REFERENCE, BASELINE)
+    },
+    **{
+        split_metric(name, part): Column(label, "1", ratio_to(REFERENCE, value, part))
+        for name, (label, value) in RATIOS.items()
+        for part in PARTS
+    },
+    **{
+        curve_metric(time): Column(f"{time:g} s", "%", share_of(partial(_within, time)))
+        for time in CURVE_TIMES
+    },
+}
+EFFORT = (
+    "path_length_raw_median",
+    "projections_median",
+    "newton_iterations_median",
+    "state_checks_median",
+    "time_ratio",
+    "fallbacks",
+)
+PAPER_COST = ("paper_cost_median", f"paper_cost_ratio_{REFERENCE}", f"paper_cost_ratio_{BASELINE}")
+HEADLINES: Mapping[str, Mapping[str, str]] = {
+    "accuracy": {"ours": "accuracy"},
+    **{
+        metric: {"ours, median": f"{metric}_median", "ours, mean": f"{metric}_mean"}
+        for metric in ("time", "vertices", "path_length")
+    },
+}
+"""The paper's metrics, and our columns that answer them."""
+BRIEF = (
+    BriefColumn("solved [%]", "accuracy", "accuracy"),
+    BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
+    BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
+)
+METHOD_NOTES = (
+    "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
+    "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a failure.",
+    "Time: total wall time, goal inverse kinematics and networks included, making point clouds not. Median over "
+    "all runs with failures counted as infinite, order-statistic interval; the mean, because the paper gives "
+    "means, leaves failures out (bootstrap interval).",
+    "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint space; "
+    "raw length: before simplification; both over the jointly solved runs.",
+    "Projections, Newton iterations, state checks: medians over all runs with failures counted as infinite.",
+    f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap interval.",
+    "By fallback: runs whose path did not come the way the planner's name promises; they count as its own.",
+    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, itself and obstacles), "
+    f"{1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower bound), networks as measured "
+    "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
+    "Easy and hard: hard are runs of problems in the top third by the work (projections + state checks) of "
+    f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are geometric means over problems "
+    "that both solved, bootstrap intervals; time includes goal inverse kinematics, which is the same for all.",
+)
+
+
+def place_task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+    """The rows of one suite; sentences of the paper are judged where its numbers stand beside ours."""
+    runs = suite_runs(rows, published)
+    found = entries(runs, COLUMNS, published)
+    said = statement_lines(judged(ABOUT_PLACE_TASK, runs.rows, published)) if published else []
+    sections = _sections(runs, found, published, said)
+    return Rendered(
+        size=_size(runs),
+        sections=sections,
+        latex=_latex(runs, found),
+        csv=csv_of(runs.rows[0].suite, found),
+        brief=brief_lines(found, BRIEF),
+    )
+
+
+def _size(runs: SuiteRuns, of: str = "problems") -> str:
+    return f"{len({row.problem for row in runs.rows})} {of}"
+
+
+def _sections(
+    runs: SuiteRuns, found: Sequence[Entry], published: Sequence[PublishedValue], said: Lines = ()
+) -> Sections:
+    """Headlines, what the paper says of them, effort, comparisons, time curve, fallbacks, failures and notes."""
+    slowest = max(row.t_total_s or 0.0 for row in runs.rows)
+    curve = CURVE_TIMES[: sum(time < slowest for time in CURVE_TIMES) + 1]
+    shown = {row.planner for row in runs.rows}
+    return {
+        _size(runs): _headline_lines(found, len(runs.joint)),
+        "What the paper says": said,
+        "Effort (medians)": column_lines(found, EFFORT),
+        "At the paper's cost of work": column_lines(found, PAPER_COST),
+        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
+        "Solved within a time, % of runs": column_lines(found, map(curve_metric, curve)),
+        "Fallbacks": count_lines(found, "fallbacks"),
+        "Failures": count_lines(found, "failures"),
+        "Notes": [*METHOD_NOTES, *_footnotes(runs)],
+        "Notes on the paper's numbers (all but accuracy are means)": notes_on(
+            value for value in published if value.planner in shown
+        ),
+    }
+
+
+def _headline_lines(found: Sequence[Entry], n_joint: int) -> Lines:
+    """Two lines a planner, with medians and with means."""
+    header = ["planner", "runs"]
+    lines = [header, *([e.title, str(e.n_runs)] if k == 0 else ["– mean", ""] for e in found for k in (0, 1))]
+    for metric, names in HEADLINES.items():
+        typical, *mean = names.values()
+        column = COLUMNS[typical]
+        unit = "" if column.unit == "1" else f" [{column.unit}]"
+        header += [f"{column.label}{unit}: paper", "ours" + f" (n={n_joint})" * (metric == "path_length")]
+        for first, second, item in zip(lines[1::2], lines[2::2], found, strict=True):
+            first += [item.paper_cell(metric), item.cell(typical)]
+            second += ["", *(map(item.cell, mean) if mean else [""])]
+    return lines
+
+
+def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
+    """Ratios on all, easy and hard problems, for every planner but the one they are against."""
+    return [
+        ["planner", "runs", *(label for label, _ in RATIOS.values())],
+        *(
+            [
+                item.planner,
+                f"{part} ({len(runs.split.parts[part])})",
+                *(item.cell(split_metric(name, part)) for name in RATIOS),
+            ]
+            for item in found
+            if item.planner != REFERENCE
+            for part in PARTS
+        ),
+    ]
+
+
+def _footnotes(runs: SuiteRuns) -> Iterable[str]:
+    names = ", ".join(runs.solving) or "no planner"
+    yield f"Jointly solved: {len(runs.joint)} runs (problem and seed), each solved by all of {names}."
+    silent = sorted(name for name in runs.groups if name not in runs.solving)
+    if silent:
+        yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
+    if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
+        yield "The planners did not all run the same problems: their columns do not compare."
+    yield from seed_notes(runs)
+    if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
+        yield (
+            f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every other planner's "
+            "ratios look better on hard problems, and worse on easy ones, than several seeds would show."
+        )
+
+
+def _latex(runs: SuiteRuns, found: Sequence[Entry]) -> str:
+    suite = runs.rows[0].suite
+    caption = f"{suite}, {_size(runs)}: the paper's values and ours. "
+    caption += " ".join((*METHOD_NOTES[:4], *_footnotes(runs)))
+    return latex_planners(caption, suite, found, HEADLINES)
+
+
+# ---------------------------------------------------------------- scanned scenes
+
+SENSED: Mapping[str, Column] = {
+    "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
+    "free_in_truth": Column(
+        "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
+    ),
+    "true_clearance_median": Column("clearance in truth [m]", "m", median_of("true_clearance", "stated")),
+    "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
+    "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
+}
+"""What only scanned scenes have."""
+SENSED_BRIEF = (
+    *(column._replace(interval=False) for column in BRIEF),
+    BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
+)
+SENSED_NOTES = (
+    "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second certificate, in the "
+    "scene that was scanned, Wilson interval over the paths certified in the map.",
+    "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, outliers, and the rest. "
+    "Images to certificate: everything until the path is certified in the map, everything counted. Medians.",
+    "The paper's scenes, starts and goals are not published: its numbers are of other problems, on a real robot.",
+    "Statements compare over problems that both solved, geometric mean; a positive number is less of it.",
+)
+
+
+def sensor_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+    """The same on scanned scenes: map and truth, the paper's robot beside them, the paper's words."""
+    runs = suite_runs(rows, published)
+    found = entries(runs, {**COLUMNS, **SENSED}, published)
+    said = statement_lines(judged(ABOUT_SENSOR, runs.rows, published))
+    sections = {
+        "In the map and in truth": column_lines(found, SENSED),
+        'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"': said,
+        **_sections(runs, found, published),
+        "Notes on scanned scenes": SENSED_NOTES,
+    }
+    return Rendered(
+        size=_size(runs, "scenes"),
+        sections=sections,
+        latex=_latex(runs, found),
+        csv=csv_of(runs.rows[0].suite, found),
+        brief=brief_lines(found, SENSED_BRIEF),
+    )

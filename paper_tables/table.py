@@ -1,0 +1,301 @@
+"""The engine of every suite's table: planners as lines, columns by declaration, the paper's numbers beside ours."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
+from typing import NamedTuple
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.phase_name import split_problem
+from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
+from cvqmpt_lab.results.statistics import Interval, jointly_solved
+from paper_tables import writers
+from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, split_by_work
+from paper_tables.paper_numbers import PublishedValue
+from paper_tables.writers import Lines, Sections, bounds, csv_text, estimate, latex_table, number, text_lines
+
+CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number of a planner."""
+
+    label: str
+    unit: str
+    measure: Measure
+    published: str | None = None  # the paper's metric that it answers (the paper gives means)
+    cell: Callable[[Interval], str] = estimate
+
+
+class Count(NamedTuple):
+    """How many runs had something in common, and what the first of them said."""
+
+    what: str
+    example: str
+    runs: int
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is known of one planner, on all runs of a suite or on a group of them."""
+
+    planner: str
+    columns: Mapping[str, Column]
+    measured: Mapping[str, Interval]  # by name of the column
+    published: Mapping[str, PublishedValue]  # the paper's numbers, by its metric
+    n_runs: int  # problems or whole tasks, each with every random seed
+    failures: tuple[Count, ...]
+    fallbacks: tuple[Count, ...]
+    n_fallen_back: int  # runs, tasks as a whole
+    group: tuple[str, ...]  # cells that name the group
+    suffix: str  # of its metrics in csv
+
+    @property
+    def paper_name(self) -> str | None:
+        """Its name in the paper."""
+        return next((value.paper_name for value in self.published.values()), None)
+
+    @property
+    def title(self) -> str:
+        """Its name, and the paper's."""
+        return f"{self.planner} ({self.paper_name})" if self.paper_name else self.planner
+
+    def cell(self, column: str) -> str:
+        """Our number as its column shows it."""
+        return self.columns[column].cell(self.measured[column])
+
+    def paper_cell(self, metric: str) -> str:
+        """The paper's number."""
+        return self.published[metric].value if metric in self.published else "–"
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """The table of one suite in all its forms."""
+
+    size: str  # how much was run, as in "20 problems"
+    sections: Sections
+    latex: str
+    csv: str
+    brief: list[str]  # lines for a terminal
+
+    @property
+    def markdown(self) -> str:
+        """All sections."""
+        return writers.markdown(self.sections)
+
+
+# ---------------------------------------------------------------- from rows to numbers
+
+
+def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
+    """Rows in order; InvalidInputError unless they are of exactly one suite."""
+    ordered = sorted_rows(rows)
+    suites = sorted({row.suite for row in ordered})
+    if len(suites) != 1:
+        raise InvalidInputError(f"a table needs the rows of one suite, got {len(suites)}: {suites}")
+    return ordered
+
+
+def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, list[ResultRow]]:
+    """Rows by planner, the paper's first and in its order; by planner and backend where one ran with several."""
+    backends: dict[str, set[str]] = {}
+    for row in rows:
+        backends.setdefault(row.planner, set()).add(row.backend)
+    paper = [planner for planner in dict.fromkeys(v.planner for v in published) if planner in backends]
+    groups: dict[str, list[ResultRow]] = {}
+    for planner in (*paper, *sorted(backends.keys() - set(paper))):
+        for backend in sorted(backends[planner]):
+            name = f"{planner} [{backend}]" if len(backends[planner]) > 1 else planner
+            groups[name] = [row for row in rows if (row.planner, row.backend) == (planner, backend)]
+    return groups
+
+
+def suite_runs(rows: Iterable[ResultRow], published: Iterable[PublishedValue] = ()) -> SuiteRuns:
+    """Rows of one suite, grouped; InvalidInputError without rows, or with rows of more than one suite."""
+    ordered = rows_of_one_suite(rows)
+    groups = by_planner(ordered, published)
+    solving = sorted(name for name, own in groups.items() if any(row.solved for row in own))
+    joint = frozenset(jointly_solved({name: groups[name] for name in solving}))
+    reference: Rows = next((own for own in groups.values() if own[0].planner == REFERENCE), [])
+    return SuiteRuns(ordered, groups, solving, joint, split_by_work(reference))
+
+
+def entry(
+    name: str,
+    rows: Rows,
+    runs: SuiteRuns,
+    columns: Mapping[str, Column],
+    published: Iterable[PublishedValue] = (),
+    group: tuple[str, ...] = (),
+    suffix: str = "",
+) -> Entry:
+    """Measure a planner on some of its rows."""
+    failed = [row for row in rows if row.fail_reason not in (None, FailReason.NOT_REACHED)]
+    fallen_back = [row for row in rows if row.fallback]
+    return Entry(
+        planner=name,
+        columns=columns,
+        measured={column: definition.measure(rows, runs) for column, definition in columns.items()},
+        published={value.metric: value for value in published if value.planner == name.partition(" [")[0]},
+        n_runs=_n_runs(rows),
+        failures=_counts((_at(row, str(row.fail_reason)), row.detail or "–") for row in failed),
+        fallbacks=_counts((_at(row, ""), str(row.fallback)) for row in fallen_back),
+        n_fallen_back=_n_runs(fallen_back),
+        group=group,
+        suffix=suffix,
+    )
+
+
+def entries(
+    runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()
+) -> list[Entry]:
+    """Every planner on all its rows."""
+    return [entry(name, rows, runs, columns, published) for name, rows in runs.groups.items()]
+
+
+def _n_runs(rows: Iterable[ResultRow]) -> int:
+    return len({(row.item, row.seed) for row in rows})
+
+
+def _at(row: ResultRow, what: str) -> str:
+    """What happened, with the phase of a task before it."""
+    phase = split_problem(row.problem).phase if "/" in row.problem else ""
+    return ": ".join(filter(None, (phase, what)))
+
+
+def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
+    """Counts of equal texts, the most frequent first, each with the first example."""
+    examples: dict[str, list[str]] = {}
+    for what, example in found:
+        examples.setdefault(what, []).append(example)
+    counts = [Count(what, texts[0], len(texts)) for what, texts in examples.items()]
+    return tuple(sorted(counts, key=lambda count: (-count.runs, count.what)))
+
+
+def seed_notes(runs: SuiteRuns) -> Iterable[str]:
+    """How several seeds of a problem count, if there are any, and who ran fewer."""
+    seeds = {name: len({row.seed for row in rows}) for name, rows in runs.groups.items()}
+    most = max(seeds.values())
+    if most > 1:
+        yield (
+            "Several seeds: a problem counts once in every number and interval, with its median, its mean or its share "
+            "over seeds; ratios pair runs by problem and seed."
+        )
+    fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
+    if fewer:
+        yield f"Seeds, where they are fewer than {most}: {', '.join(fewer)}."
+
+
+# ---------------------------------------------------------------- from numbers to lines
+
+
+def column_lines(found: Sequence[Entry], names: Iterable[str]) -> Lines:
+    """Planners as lines, some columns of theirs."""
+    names = list(names)
+    labels = [found[0].columns[name].label for name in names]
+    return [["planner", *labels], *([item.planner, *map(item.cell, names)] for item in found)]
+
+
+def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "problems") -> Lines:
+    """Groups and planners as lines, all columns; those without runs are left out. head: titles of the group's cells."""
+    lines = [[*head, "planner", count, *(column.label for column in found[0].columns.values())]]
+    for item in found:
+        n = item.measured["solved"].n
+        if n:
+            lines.append([*item.group, item.planner, str(n), *map(item.cell, item.columns)])
+    return lines
+
+
+def count_lines(found: Iterable[Entry], what: str) -> Lines:
+    """Failures or fallbacks of all planners; what: "failures" or "fallbacks"."""
+    lines = [["planner", "what", "for example", "runs"]]
+    for item in found:
+        for count in getattr(item, what):
+            runs = f"{count.runs} of {item.n_runs}"
+            lines.append([item.planner, count.what or "–", count.example, runs])
+    return lines
+
+
+class BriefColumn(NamedTuple):
+    """A number that a terminal shows: its title, the paper's metric, ours and which statistic, with interval or not."""
+
+    title: str
+    published: str
+    ours: str
+    statistic: str = "ours"
+    interval: bool = False
+
+
+def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[str]:
+    """A line a planner for a terminal, the paper's numbers beside ours, then one about fallbacks, if any."""
+    papers = [column.published in item.published for column in columns for item in found]
+    shown = 2 if any(papers) else 1
+    lines = [[""], ["planner"]]
+    for column in columns:
+        lines[0] += [column.title, ""][:shown]
+        lines[1] += ["paper", column.statistic][-shown:]
+    for item in found:
+        lines.append([item.planner])
+        for column in columns:
+            interval = item.measured[column.ours]
+            ours = estimate(interval) if column.interval else number(interval.estimate)
+            lines[-1] += [item.paper_cell(column.published), ours][-shown:]
+    told = ", ".join(f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back)
+    return text_lines(lines) + ([f"by fallback: {told}"] if told else [])
+
+
+def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:
+    """Some columns of `group_lines` for a terminal, numbers without intervals."""
+    first = lines[0].index("planner")
+    chosen = [
+        [line[k] if k <= first or line is lines[0] else line[k].partition(" ")[0] for k in columns]
+        for line in lines
+    ]
+    return text_lines(chosen)
+
+
+def latex_planners(
+    caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
+) -> str:
+    """The paper's layout, planners as columns; metrics: of the paper, with our columns by their titles."""
+    names = [
+        ["", "", *(item.paper_name or item.planner for item in found)],
+        ["", "", *(item.planner if item.paper_name else "" for item in found)],
+    ]
+    return latex_table(caption, suite, [names, *(_latex_block(found, *item) for item in metrics.items())])
+
+
+def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]) -> Lines:
+    """One metric: the paper's line, then an estimate and an interval line for each of our columns."""
+    column = found[0].columns[next(iter(ours.values()))]
+    label = column.label if column.unit == "1" else f"{column.label} ({column.unit})"
+    lines = [[label, "paper", *(item.paper_cell(published) for item in found)]]
+    for title, name in ours.items():
+        intervals = [item.measured[name] for item in found]
+        lines.append(["", title, *(number(interval.estimate) for interval in intervals)])
+        lines.append(["", "", *map(bounds, intervals)])
+    return lines
+
+
+def latex_groups(caption: str, suite: str, lines: Lines) -> str:
+    """Lines of `group_lines` with a rule between groups."""
+    header, *rest = lines
+    return latex_table(caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))])
+
+
+def csv_of(suite: str, found: Iterable[Entry]) -> str:
+    """Long form (`CSV_COLUMNS`), full precision; undefined is empty, failures make ``inf``."""
+    lines: list[Sequence[object]] = [CSV_COLUMNS]
+    for item in found:
+        for name, column in item.columns.items():
+            value = item.published.get(column.published or "")
+            if value:
+                lines.append((suite, name, value.unit, item.planner, "paper", value.value, "", "", ""))
+        for name, ours in item.measured.items():
+            numbers = (ours.estimate, ours.low, ours.high, ours.n)
+            metric, unit = name + item.suffix, item.columns[name].unit
+            lines.append((suite, metric, unit, item.planner, "ours", *numbers))
+    return csv_text(lines)

@@ -1,0 +1,76 @@
+"""Results directories rendered: files, the head line, and directories without runs."""
+
+import json
+
+import pytest
+from made_rows import a_row
+
+from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.results.row import write_rows
+from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
+from experiments.suites.table import SUITES
+from paper_tables.render import TABLES, render_directory
+
+
+def rows(suite="place-task", count=10):
+    return [
+        a_row(f"p{k}", planner, suite=suite, t_total_s=1.0)
+        for planner in ("birrt", "ompl-projected")
+        for k in range(count)
+    ]
+
+
+def store(directory, some_rows, **session):
+    with RunStore.open(directory, {"suite": "place-task", "cutoff_s": 10.0}, session) as opened:
+        opened.append(some_rows)
+
+
+def test_a_directory_is_rendered_beside_its_runs(tmp_path):
+    machine = {"cpu_model": "Fast CPU", "cpu_count": 2}
+    store(tmp_path, rows(), git_commit="a" * 40, weights={"mpnet": "f" * 64}, **machine)
+    written = render_directory(tmp_path)
+    assert [path.name for path in written.paths] == ["table.md", "table.tex", "table.csv"]
+    texts = [path.read_bytes() for path in written.paths]
+    title, _, head, *_ = texts[0].decode().splitlines()
+    assert title == f"# {TABLES['place-task'].title}"
+    assert written.brief[0] == f"{TABLES['place-task'].title}: 10 problems, cutoff 10 s"
+    assert head.startswith(
+        f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · machine Fast CPU, 2 cores"
+    )
+    assert head.endswith("20 rows")
+    assert [path.read_bytes() for path in render_directory(tmp_path).paths] == texts
+
+
+def test_the_head_of_a_table_tells_of_every_session_and_of_uncommitted_changes(tmp_path):
+    store(tmp_path, rows(), git_commit="a" * 40)
+    store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)
+    head = render_directory(tmp_path).paths[0].read_text().splitlines()[2]
+    assert f"commit {'a' * 12} and {'b' * 12} WITH UNCOMMITTED CHANGES" in head
+
+
+@pytest.mark.parametrize(("suite", "papers"), [("place-task-with-can", True), ("my-place", False)])
+def test_only_suites_of_the_paper_get_its_numbers(tmp_path, suite, papers):
+    store(tmp_path, rows(suite))
+    for path in render_directory(tmp_path).paths:
+        assert ("22.95" in path.read_text()) is papers
+
+
+def test_every_suite_has_a_title():
+    assert TABLES.keys() == SUITES.keys()
+
+
+def test_directories_without_runs_say_what_to_do(tmp_path):
+    def refused(message, directory=tmp_path):
+        with pytest.raises(RunStoreError, match=message):
+            render_directory(directory)
+
+    refused(r"not a directory; run an experiment with --out", tmp_path / "absent")
+    refused(r"no runs\.csv; run an experiment")
+    (tmp_path / PARTIAL_FILE).write_text("")
+    refused("interrupted run; repeat its command")
+    write_rows(tmp_path / "runs.csv", [])
+    refused("no rows")
+    write_rows(tmp_path / "runs.csv", rows())
+    refused(r"no provenance\.json")
+    (tmp_path / "provenance.json").write_text(json.dumps({"configuration": {}}))
+    assert "cutoff not recorded · commit unknown" in render_directory(tmp_path).paths[0].read_text()
