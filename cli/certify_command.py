@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cli.options import positive
-from cli.problem_options import add_problem, problem_asked
+from cli.robot_options import add_problem, problem_asked
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import DryRun, dry_run

@@ -1,4 +1,4 @@
-"""Which robot, on the command line: --robot or --urdf, and what of it is to be planned for."""
+"""Which problem and which robot, on the command line: a suite or file, --robot or --urdf, and what is said of them."""
 
 import argparse
 import math
@@ -10,8 +10,11 @@ from cvqmpt_lab.codec.plain import mapping, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.poses import Placement
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.tasks.task import Task
+from experiments.suites.table import SUITES, suite_named
 
 
 def add_robot(parser: argparse.ArgumentParser, title: str) -> None:
@@ -124,3 +127,28 @@ def _locked_joint(text: str) -> tuple[str, float]:
     if not joint or not math.isfinite(number):
         raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
     return joint, number
+
+
+# Which problem, on the command line: an index in a suite, or a file, perhaps for another robot.
+def add_problem(
+    parser: argparse.ArgumentParser, robot: str = "another robot for the problem of --problem-file"
+) -> None:
+    """The suite, --problem, --problem-file and the options of its robot, under that title."""
+    parser.add_argument("suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}")
+    parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
+    parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
+    add_robot(parser, robot)
+
+
+def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
+    """The problem of a suite or file, or the task of a suite."""
+    if (args.suite is None) == (args.problem_file is None):
+        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
+    robot = robot_source(args, args.problem_file)
+    if args.problem_file is not None:
+        return PlanningProblem.load(args.problem_file, robot=robot)
+    if robot:
+        raise InvalidInputError(
+            "--robot and --urdf go with --problem-file or --start: other problems are for their own robot"
+        )
+    return suite_named(args.suite).solvable(args.problem)
