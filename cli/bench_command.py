@@ -9,7 +9,7 @@ from cli.options import positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.bench.kernels import BENCHES
+from experiments.bench.planning import BENCHES, run_bench
 
 EXAMPLES = (
     "cvqmpt bench kernels",
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         writable_file(args.json)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-    figures = BENCHES[args.bench](args.problems, args.states)
+    figures = run_bench(args.bench, args.problems, args.states)
     width = max(len(figure.name) for figure in figures)
     for figure in figures:
         spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""

@@ -14,7 +14,7 @@ from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.curve import SmoothCurve, smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from experiments.bench.collision import near_contact
+from experiments.bench.state_checks import near_contact
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 from experiments.trust.check import Check, Trial
 from experiments.trust.networks import networks_differ

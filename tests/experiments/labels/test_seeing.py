@@ -16,7 +16,7 @@ from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_weights
-from experiments.bench.seeing import area, calibration_error
+from experiments.bench.perception import area, calibration_error
 from experiments.labels.labelled_scenes import unconstrained_space
 from experiments.labels.part_training import PartRequest, train_eyes
 from experiments.labels.roadmap_data import RoadmapRecipe
