@@ -7,10 +7,8 @@ import pytest
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
-from cvqmpt_lab.kernels.collision.checker import first_contact
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
-from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -129,12 +127,6 @@ def test_doors_that_turn_into_something_say_into_what(panda, name):
     assert {checker.colliding_pair(q).second for q in hits} == {BLOCKED[name]}
 
 
-def test_casing_is_what_a_door_rests_against(world):
-    casing = [part.name for part in from_plain(ArticulatedObject, world[1].source["articulated"]).casing]
-    boards = [f"dagger/cell1_{side}" for side in ("bottom", "top", "side_right", "side_left")]
-    assert sorted(casing) == sorted([*boards, "dagger/cell0_side_left"])
-
-
 def brick(x, y, z=1.0, size=0.1):
     return SceneObject("brick", Box((size,) * 3), pose((x, y, z)))
 
@@ -219,29 +211,6 @@ def test_motions_of_arm_and_door_called_free_are_free(world, grasp):
     assert 20 < len(free) < 280
     shares = np.linspace(0.0, 1.0, 60)[:, None]
     assert not any(checker.in_collision_batch(a + shares * (b - a)).any() for a, b in free)
-
-
-def test_kernels_name_contacts_of_the_door(world):
-    """Of uniform states without a scene, some have the arm touch the door, at pieces that coal says touch."""
-    _, robot = world
-    nothing = Scene("nothing", ())
-    arm, air = robot_arrays(robot), scene_arrays(nothing, robot.reach)
-    shapes = [item.geometry for item in robot.collision_model.geometryObjects]
-    seen = set()
-    for q in robot.random_configurations(np.random.default_rng(3), 2000):
-        (R,), (t,) = link_poses(robot.kinematics, q[None])
-        a, b = first_contact(R, t, arm, air, 0.0)
-        pair = [robot.links[k] for k in (a, -1 - b)] if a >= 0 else []
-        door = [piece.name for piece in pair if piece.link == 8]
-        if door:
-            T = [np.eye(4) for _ in pair]
-            for piece, T_world in zip(pair, T, strict=True):
-                T_world[:3, :3], T_world[:3, 3] = R[piece.link], t[piece.link]
-                T_world[:] = T_world @ piece.T_link_geometry
-            depth = shape_distance(shapes[a], T[0], shapes[-1 - b], T[1])
-            assert depth < CONTACT + 1e-3, (q, [piece.name for piece in pair])
-            seen |= {(door[0], depth < 0.0)}
-    assert (f"{DOOR}/panel", True) in seen and len({name for name, _ in seen}) >= 2
 
 
 def test_only_the_named_contact_is_allowed(panda, grasp):

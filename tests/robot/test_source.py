@@ -54,24 +54,13 @@ def test_what_is_given_beside_a_name_overrides_it():
         ({}, r"robot needs 'name' \(panda, ur3, .*\) or 'urdf' and 'end_effector'"),
         (0.5, r"robot is 0\.5; it must be an object"),
         (None, "robot is None; it must be an object"),
+        ({"name": "panda", "finger_opening": "wide"}, "'wide'"),
+        ({"name": "panda", "finger_opening": [0.01]}, "finger_opening"),
+        ({"name": ["panda"]}, "name"),
+        ({"urdf": 5, "end_effector": "tool"}, "urdf is 5"),
+        ({"urdf": "arm.urdf", "end_effector": "tool", "locked": 3}, "locked is 3"),
     ],
     ids=str,
 )
 def test_a_wrong_field_of_a_robot_is_named(refused, source, pattern):
     refused(CvqmptError, pattern, robot_from_source, source)
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        {"name": "panda", "finger_opening": "wide"},
-        {"name": "panda", "finger_opening": [0.01]},
-        {"name": ["panda"]},
-        {"urdf": 5, "end_effector": "tool"},
-        {"urdf": "arm.urdf", "end_effector": "tool", "locked": 3},
-    ],
-    ids=str,
-)
-def test_malformed_sources_are_named(source):
-    with pytest.raises(CvqmptError):
-        robot_from_source(source)

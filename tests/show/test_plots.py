@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.planning.result import JointPath
-from cvqmpt_lab.show.curves import bound_plots, clearance_plot, plots_along
+from cvqmpt_lab.show.curves import bound_plots, clearance_plot
 
 
 def test_tilt_beyond_its_bounds_is_the_certificates_violation(problem):
@@ -33,11 +33,3 @@ def test_clearance_is_the_certificates(solution):
     ):
         expected = certify(solution.problem, JointPath(np.stack([q, q]))).min_clearance_m
         assert clearance == pytest.approx(1e3 * expected)
-
-
-def test_legends_have_room_above_all_curves(solution):
-    for plot in plots_along(solution.problem, solution.simplified.path.states):
-        low, high = plot.range
-        top = max(curve.values.max() for curve in plot.curves.values())
-        assert all(curve.values.min() > low for curve in plot.curves.values())
-        assert (high - top) / (high - low) > 0.25

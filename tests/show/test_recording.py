@@ -2,14 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from matplotlib.image import imread
 from rerun.chunk import RrdReader
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.planning.result import Counters, PlanResult, PlanStatus
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.show.picture import draw_solution
@@ -60,14 +57,6 @@ def test_unsolved_recording_holds_the_problem(unsolved, tmp_path):
     rows = recorded(tmp_path / "run.rrd")
     assert {"/world/start/7", "/world/goals/0/7", "/world/scene/floor"} <= rows.keys()
     assert not any(entity.startswith(("/world/robot", "/world/path", "/plots")) for entity in rows)
-
-
-def test_problem_without_goals_is_recorded(problem, tmp_path):
-    nothing = PlanResult(PlanStatus.NO_GOAL, None, 0.0, Counters(), 0, "none")
-    log_solution(
-        Solution(problem.with_goals(np.empty((0, 7))), nothing, None, None, 0.0), save=tmp_path / "run.rrd"
-    )
-    assert not any(entity.startswith("/world/goals") for entity in recorded(tmp_path / "run.rrd"))
 
 
 def test_every_shape_and_attachment_is_shown(unsolved, every_shape, tmp_path):
