@@ -10,8 +10,7 @@ from cli.motion_options import add_motion, arm_of, motion_given, motion_problem,
 from cli.options import add_model, writable_file
 from cli.plan_report import as_json, report
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
-from cli.problem_options import add_problem, problem_asked
-from cli.robot_options import robot_source
+from cli.robot_options import add_problem, problem_asked, robot_source
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
