@@ -2,35 +2,20 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from cvqmpt_lab.results.phase_name import PAPER_PHASES
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.results.statistics import geometric_mean_interval
+from paper_tables import statements
 from paper_tables.judging import NOTHING, Verdict, judged, less, ruling
 from paper_tables.measures import REFERENCE, Rows
 from paper_tables.multi_sequence_table import task_rows
 from paper_tables.paper_numbers import read_published
 from paper_tables.render import table_of
-from paper_tables.statements import (
-    ABOUT_SENSOR,
-    EXECUTION_TIME,
-    FASTER,
-    FEWER,
-    PAPERS_UPDATE,
-    PLANNING_TIME,
-    PREDICTED,
-    SENSED,
-    SHORTER,
-    SOLVED,
-    UPDATED,
-    Statement,
-)
+from paper_tables.statements import Statement
 
 HISTOGRAM_VALUES = "values.csv"
 OMPL = "ompl-projected"
@@ -44,21 +29,19 @@ class Evidence(NamedTuple):
     record: dict[str, Any]  # its provenance
 
 
-@dataclass(frozen=True)
-class Claim:
+class Claim(NamedTuple):
     """Something that the paper says."""
 
     title: str  # in our words
     paper: str  # the paper's number
-    statements: Mapping[str, Sequence[Statement]] = field(
-        default_factory=dict
-    )  # by results directory that judges them
-    shown: Sequence[tuple[str, str]] = ()  # metric and baseline of what stands for all in the short table
-    remark: str = ""  # what a reader must know to take the numbers rightly
+    statements: Mapping[
+        str, Sequence[Statement]
+    ]  # by the results directory that judges them; none: not by runs
+    shown: Sequence[tuple[str, str]]  # metric and baseline of what stands for all in the short table
+    remark: str  # what a reader must know to take the numbers rightly
 
 
-@dataclass(frozen=True)
-class JudgedClaim:
+class JudgedClaim(NamedTuple):
     """A claim with what rows say of it."""
 
     claim: Claim
@@ -80,7 +63,7 @@ CLAIMS = (
     Claim(
         "plans twice as fast as earlier planners",
         "11.0 s, not 23.0 s",
-        {"place-task": FASTER},
+        {"place-task": statements.FASTER},
         (("time", OMPL), ("time", REFERENCE), ("paper_cost", OMPL)),
         "A state check costs a microsecond here and milliseconds in the paper's simulator, so that networks, which "
         "cost milliseconds in both, weigh more here. The paper's cost of work prices every projection and state check "
@@ -89,35 +72,35 @@ CLAIMS = (
     Claim(
         "plans paths 35 to 40 % shorter",
         "35 to 40 % less",
-        {"place-task": SHORTER},
+        {"place-task": statements.SHORTER},
         (("path_length", OMPL), ("path_length", REFERENCE)),
         "The paper's own table says 42 and 37 % against CBiRRT, 13 and 6 % against Atlas-RRT.",
     ),
     Claim(
         "solves 97 to 98 % of the problems",
         "97.6 and 98.4 %",
-        {"place-task": SOLVED},
+        {"place-task": statements.SOLVED},
         (("accuracy", NOTHING),),
         "The paper's planners had 50 to 100 s; how long ours had stands in the table's head.",
     ),
     Claim(
         "reduces planning time of the multi-sequence task by 45 %",
         "45 % less",
-        {"multi-sequence": (PLANNING_TIME,)},
+        {"multi-sequence": (statements.PLANNING_TIME,)},
         (("planning_time", OMPL),),
         "Only the last of the three phases that the paper times is constrained.",
     ),
     Claim(
         "reduces execution time of the multi-sequence task by 18 %",
         "18 % less",
-        {"multi-sequence": (EXECUTION_TIME,)},
+        {"multi-sequence": (statements.EXECUTION_TIME,)},
         (("execution_time", OMPL),),
         "Here motions are timed under joint limits; the paper's is the wall-clock of a simulated controller.",
     ),
     Claim(
         "needs fewer vertices",
         "24 and 26, not 32 to 40",
-        {"place-task": FEWER},
+        {"place-task": statements.FEWER},
         (("vertices", OMPL), ("vertices", REFERENCE)),
         "Our search keeps the states along an extension as vertices, OMPL's its end alone: only the comparison with "
         "birrt, the same search, is of like with like.",
@@ -125,8 +108,8 @@ CLAIMS = (
     Claim(
         "updates codes so that fewer projections are needed",
         "no number",
-        {"controls": PAPERS_UPDATE, "histogram": (UPDATED,)},
-        (("projections", "cvq-mpt"), ("g", PREDICTED)),
+        {"controls": statements.PAPERS_UPDATE, "histogram": (statements.UPDATED,)},
+        (("projections", "cvq-mpt"), ("g", statements.PREDICTED)),
         "G(q) is the squared violation of the constraint. The paper's update is our control `opt-algorithm-2`; what we "
         "call `opt-cvq-mpt` projects codes before it judges sequences of them. The histogram is of the Gaussians as "
         "the decoder gives them; planners sample wider ones (1.1 rad), which hardly notice the update.",
@@ -134,7 +117,7 @@ CLAIMS = (
     Claim(
         "generalises to sensor data without training",
         "10 of 10, and outperforms",
-        {"sensor": (*SENSED, *ABOUT_SENSOR)},
+        {"sensor": (*statements.SENSED, *statements.ABOUT_SENSOR)},
         (("accuracy", NOTHING), ("true_free", NOTHING), ("time", OMPL), ("time", REFERENCE)),
         "The paper's scenes are not published: ours are rendered with the errors of a depth camera. In the paper's own "
         "table CVQ-MPT is slower than CBiRRT, and Opt-CVQ-MPT as fast.",
@@ -142,7 +125,9 @@ CLAIMS = (
     Claim(
         "is probabilistically complete",
         "proved",
-        remark="A statement about unlimited time, which no number of runs decides. The paper's argument needs samples "
+        {},
+        (),
+        "A statement about unlimited time, which no number of runs decides. The paper's argument needs samples "
         "near every vertex with a probability that is not zero; far from all Gaussians that probability is zero in "
         "floating point, so half of our samples are uniform.",
     ),
@@ -166,8 +151,8 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     ]
 
 
-def _judged(statements: Sequence[Statement], evidence: Evidence) -> tuple[Verdict, ...]:
-    if UPDATED in statements:
+def _judged(said: Sequence[Statement], evidence: Evidence) -> tuple[Verdict, ...]:
+    if statements.UPDATED in said:
         return (_updated(evidence),)
     if not evidence.rows:
         return ()
@@ -175,16 +160,16 @@ def _judged(statements: Sequence[Statement], evidence: Evidence) -> tuple[Verdic
     paper = table_of(suite).paper
     if suite == "multi-sequence":
         rows = task_rows(rows, PAPER_PHASES)
-    return judged(statements, rows, read_published(*paper) if paper else ())
+    return judged(said, rows, read_published(*paper) if paper else ())
 
 
 def _updated(evidence: Evidence) -> Verdict:
     """G of the predicted codes before and after the update, a pair a code."""
     with (evidence.folder / HISTOGRAM_VALUES).open(encoding="utf-8", newline="") as handle:
         pairs = [(float(line["g_after"]), float(line["g_before"])) for line in csv.DictReader(handle)]
-    ratios = [after / before for after, before in pairs if after > 0.0 < before]
-    ours = less(geometric_mean_interval(ratios, np.random.default_rng(0)))
-    return Verdict(UPDATED, PREDICTED, None, ours, ruling(ours, UPDATED.stated))
+    ours = less(geometric_mean_interval([after / before for after, before in pairs if after > 0.0 < before]))
+    said = statements.UPDATED
+    return Verdict(said, said.baselines[0], None, ours, ruling(ours, said.stated))
 
 
 def evidence_below(results: Path) -> dict[str, Evidence]:

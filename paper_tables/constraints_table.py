@@ -4,25 +4,17 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.phase_name import split_problem
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables.measures import RATIOS, REFERENCE, ratio_to, share_of, solved
+from paper_tables import measures, table
+from paper_tables.measures import RATIOS, REFERENCE, solved
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.table import (
-    Column,
-    Rendered,
-    brief_groups,
-    count_lines,
-    csv_of,
-    entry,
-    group_lines,
-    latex_groups,
-    suite_runs,
-)
 
 ALL = "all kinds"
-COLUMNS: Mapping[str, Column] = {
-    "solved": Column("solved [%]", "%", share_of(solved)),
+COLUMNS: Mapping[str, table.Column] = {
+    "solved": table.Column("solved [%]", "%", measures.share_of(solved)),
     **{
-        name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
+        name: table.Column(
+            f"{RATIOS[name][0]} / {REFERENCE}", "1", measures.ratio_to(REFERENCE, RATIOS[name][1])
+        )
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
 }
@@ -37,12 +29,12 @@ NOTES = (
 )
 
 
-def constraints_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+def constraints_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
     """Every kind in the order of the suite, then all together."""
-    runs = suite_runs(rows)
+    runs = table.suite_runs(rows)
     kinds = dict.fromkeys(map(_kind, sorted(runs.rows, key=lambda row: split_problem(row.problem).number)))
     found = [
-        entry(
+        table.entry(
             planner,
             [row for row in own if kind in (ALL, _kind(row))],
             runs,
@@ -55,18 +47,18 @@ def constraints_table(rows: Iterable[ResultRow], published: Sequence[PublishedVa
     ]
     together = [item for item in found if item.group == (ALL,)]
     size, suite = f"{len({row.problem for row in runs.rows})} problems", runs.rows[0].suite
-    lines = group_lines(found, ["constraint"])
-    return Rendered(
+    lines = table.group_lines(found, ["constraint"])
+    return table.Rendered(
         size=f"{size}, {len(kinds)} kinds",
         sections={
             "By kind of constraint": lines,
-            "Fallbacks": count_lines(together, "fallbacks"),
-            "Failures": count_lines(together, "failures"),
+            "Fallbacks": table.count_lines(together, "fallbacks"),
+            "Failures": table.count_lines(together, "failures"),
             "Notes": NOTES,
         },
-        latex=latex_groups(f"{size} under {len(kinds)} kinds of constraints. {NOTES[1]}", suite, lines),
-        csv=csv_of(suite, found),
-        brief=brief_groups(lines, range(len(lines[0]))),
+        latex=table.latex_groups(f"{size} under {len(kinds)} kinds of constraints. {NOTES[1]}", suite, lines),
+        csv=table.csv_of(suite, found),
+        brief=table.brief_groups(lines, range(len(lines[0]))),
     )
 
 

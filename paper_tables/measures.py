@@ -11,8 +11,6 @@ from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal
 
-import numpy as np
-
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
     Interval,
@@ -147,7 +145,7 @@ def problem_median(values: Iterable[Sequence[float]]) -> Interval:
 def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
     """Mean of finite values; each bootstrap starts from the same random seed, so that columns do not interact."""
     finite = ([number for number in seeds if math.isfinite(number)] for seeds in values)
-    return mean_of_solved([fmean(seeds) for seeds in finite if seeds], np.random.default_rng(0))
+    return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
 
 def paired_ratio(
@@ -168,7 +166,7 @@ def paired_ratio(
         if own and other and min(own, other) > 0.0 and (counted is None or counted(row)):
             logs.setdefault(row.problem, []).append(math.log(own / other))
     ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
-    return geometric_mean_interval(ratios, np.random.default_rng(0))
+    return geometric_mean_interval(ratios)
 
 
 # ---------------------------------------------------------------- easy and hard problems

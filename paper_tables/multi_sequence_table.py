@@ -8,24 +8,11 @@ from dataclasses import replace
 
 from cvqmpt_lab.results.phase_name import PAPER_PHASES, split_problem
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
+from paper_tables import measures, table
 from paper_tables.judging import judged, statement_lines
-from paper_tables.measures import Measure, mean_of, median_of, share_of, solved
+from paper_tables.measures import Measure, solved
 from paper_tables.paper_numbers import PublishedValue, notes_on
 from paper_tables.statements import ABOUT_MULTI_SEQUENCE
-from paper_tables.table import (
-    BriefColumn,
-    Column,
-    Entry,
-    Rendered,
-    brief_lines,
-    count_lines,
-    csv_of,
-    entry,
-    group_lines,
-    latex_planners,
-    seed_notes,
-    suite_runs,
-)
 from paper_tables.writers import Lines, number
 
 PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}  # that a time sums over
@@ -38,7 +25,7 @@ TIMES: Mapping[str, str] = {
     "execution_time": "Execution",
     "total_time": "Total",
 }
-STATISTICS = {"mean": mean_of, "median": median_of}
+STATISTICS = {"mean": measures.mean_of, "median": measures.median_of}
 
 
 def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
@@ -90,10 +77,10 @@ def time_metric(time: str, part: str, statistic: str) -> str:
     return f"{time}_of_{part}_phases_{statistic}"
 
 
-TASK_COLUMNS: Mapping[str, Column] = {
-    "solved": Column("Solved", "%", of_tasks(share_of(solved))),
+TASK_COLUMNS: Mapping[str, table.Column] = {
+    "solved": table.Column("Solved", "%", of_tasks(measures.share_of(solved))),
     **{
-        time_metric(time, part, name): Column(
+        time_metric(time, part, name): table.Column(
             label, "s", of_tasks(statistic(time), phases), time if (part, name) == ("paper", "mean") else None
         )
         for part, phases in PHASES.items()
@@ -103,14 +90,16 @@ TASK_COLUMNS: Mapping[str, Column] = {
 }
 
 
-def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> Column:
+def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> table.Column:
     """Over the runs that reached the phase, failures as infinite."""
-    column = Column(f"{label} [{unit}]", unit, median_of(value))
+    column = table.Column(f"{label} [{unit}]", unit, measures.median_of(value))
     return column if interval else replace(column, cell=lambda ours: number(ours.estimate))
 
 
-PHASE_COLUMNS: Mapping[str, Column] = {
-    "solved": Column("solved [%]", "%", share_of(solved), cell=lambda ours: number(ours.estimate)),
+PHASE_COLUMNS: Mapping[str, table.Column] = {
+    "solved": table.Column(
+        "solved [%]", "%", measures.share_of(solved), cell=lambda ours: number(ours.estimate)
+    ),
     "goals": _median("goals", "goals_time"),
     "networks": _median("networks", "network_time"),
     "search": _median("search", "search_time"),
@@ -123,15 +112,15 @@ HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
 BRIEF = (
-    BriefColumn("solved [%]", "accuracy", "solved"),
-    BriefColumn(
+    table.BriefColumn("solved [%]", "accuracy", "solved"),
+    table.BriefColumn(
         "planning [s]",
         "planning_time",
         time_metric("planning_time", "paper", "mean"),
         "our mean",
         interval=True,
     ),
-    BriefColumn(
+    table.BriefColumn(
         "execution [s]", "execution_time", time_metric("execution_time", "paper", "mean"), "our mean"
     ),
 )
@@ -149,19 +138,19 @@ NOTES = (
 )
 
 
-def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
     """Table II for both sets of phases, statements, the breakdown by phase, fallbacks, failures and notes.
 
     Planners that were not run are left out, and statements about them. InvalidInputError for rows that are no phases.
     """
-    runs = suite_runs(rows, published)
+    runs = table.suite_runs(rows, published)
     names = [split_problem(row.problem) for row in runs.rows]
     phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
     tasks, by_phase, in_csv = [], [], []
     for name, own in runs.groups.items():
-        tasks.append(entry(name, own, runs, TASK_COLUMNS, published))
+        tasks.append(table.entry(name, own, runs, TASK_COLUMNS, published))
         parts = [
-            entry(name, reached(own, phase), runs, PHASE_COLUMNS, group=(phase,), suffix=f"_in_{phase}")
+            table.entry(name, reached(own, phase), runs, PHASE_COLUMNS, group=(phase,), suffix=f"_in_{phase}")
             for phase in phases
         ]
         by_phase += parts
@@ -176,22 +165,22 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
         "What the paper says": statement_lines(
             judged(ABOUT_MULTI_SEQUENCE, task_rows(runs.rows, PAPER_PHASES), published)
         ),
-        "By phase (medians over the runs that reached it)": group_lines(by_phase, ["phase"], "n"),
-        "Fallbacks": count_lines(tasks, "fallbacks"),
-        "Failures": count_lines(tasks, "failures"),
-        "Notes": [*NOTES, *seed_notes(runs), *notes],
+        "By phase (medians over the runs that reached it)": table.group_lines(by_phase, ["phase"], "n"),
+        "Fallbacks": table.count_lines(tasks, "fallbacks"),
+        "Failures": table.count_lines(tasks, "failures"),
+        "Notes": [*NOTES, *table.seed_notes(runs), *notes],
     }
     caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
-    return Rendered(
+    return table.Rendered(
         size=size,
         sections=sections,
-        latex=latex_planners(caption, suite, tasks, HEADLINES),
-        csv=csv_of(suite, in_csv),
-        brief=brief_lines(tasks, BRIEF),
+        latex=table.latex_planners(caption, suite, tasks, HEADLINES),
+        csv=table.csv_of(suite, in_csv),
+        brief=table.brief_lines(tasks, BRIEF),
     )
 
 
-def _time_lines(found: Sequence[Entry], part: str) -> Lines:
+def _time_lines(found: Sequence[table.Entry], part: str) -> Lines:
     """Solved tasks and every time; the paper's beside those of its own phases."""
     header = ["planner", "tasks run", "solved [%]"]
     lines = [header, *([item.title, str(item.n_runs), item.cell("solved")] for item in found)]

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 from cvqmpt_lab.results.row import ResultRow
+from paper_tables import measures, table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import (
     PROJECTION_COST,
@@ -12,28 +13,10 @@ from paper_tables.measures import (
     STATE_CHECK_COST,
     VALUES,
     SuiteRuns,
-    mean_of,
-    median_of,
-    ratio_to,
-    share_of,
     solved,
 )
 from paper_tables.paper_numbers import PublishedValue, notes_on
 from paper_tables.statements import ABOUT_PLACE_TASK, ABOUT_SENSOR
-from paper_tables.table import (
-    BriefColumn,
-    Column,
-    Entry,
-    Rendered,
-    brief_lines,
-    column_lines,
-    count_lines,
-    csv_of,
-    entries,
-    latex_planners,
-    seed_notes,
-    suite_runs,
-)
 from paper_tables.writers import Lines, Sections
 
 BASELINE = "ompl-projected"
@@ -45,54 +28,55 @@ def _within(time: float, row: ResultRow) -> bool:
     return row.solved and row.t_total_s is not None and row.t_total_s <= time
 
 
-def curve_metric(time: float) -> str:
-    """Name of the column "solved within `time` [s]"."""
-    return f"solved_within_{time:g}_s"
-
-
 def split_metric(ratio: str, part: str) -> str:
     """Name of a ratio's column on a part of the problems."""
     return f"{ratio}_{part}_of_{REFERENCE}"
 
 
-COLUMNS: Mapping[str, Column] = {
-    "accuracy": Column("Accuracy", "%", share_of(solved), "accuracy"),
-    "time_median": Column("Time", "s", median_of("time")),
-    "time_mean": Column("Time", "s", mean_of("time"), "time"),
-    "vertices_median": Column("Vertices", "1", median_of("vertices", "solved")),
-    "vertices_mean": Column("Vertices", "1", mean_of("vertices", "solved"), "vertices"),
-    "path_length_median": Column("Path length", "rad", median_of("path_length", "joint")),
-    "path_length_mean": Column("Path length", "rad", mean_of("path_length", "joint"), "path_length"),
-    "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
-    "projections_median": Column("projections", "1", median_of("projections")),
-    "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
-    "state_checks_median": Column("state checks", "1", median_of("state_checks")),
-    "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
-    "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
-    "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
+HEADLINE_COLUMNS = {
+    "accuracy": table.Column("Accuracy", "%", measures.share_of(solved), "accuracy"),
+    "time_median": table.Column("Time", "s", measures.median_of("time")),
+    "time_mean": table.Column("Time", "s", measures.mean_of("time"), "time"),
+    "vertices_median": table.Column("Vertices", "1", measures.median_of("vertices", "solved")),
+    "vertices_mean": table.Column("Vertices", "1", measures.mean_of("vertices", "solved"), "vertices"),
+    "path_length_median": table.Column("Path length", "rad", measures.median_of("path_length", "joint")),
+    "path_length_mean": table.Column(
+        "Path length", "rad", measures.mean_of("path_length", "joint"), "path_length"
+    ),
+}
+EFFORT = {
+    "path_length_raw_median": table.Column(
+        "raw length [rad]", "rad", measures.median_of("raw_length", "joint")
+    ),
+    "projections_median": table.Column("projections", "1", measures.median_of("projections")),
+    "newton_iterations_median": table.Column(
+        "Newton iterations", "1", measures.median_of("newton_iterations")
+    ),
+    "state_checks_median": table.Column("state checks", "1", measures.median_of("state_checks")),
+    "time_ratio": table.Column(f"time / {BASELINE}", "1", measures.ratio_to(BASELINE, VALUES["time"])),
+    "fallbacks": table.Column(
+        "by fallback [%]", "%", measures.share_of(lambda row: row.fallback is not None)
+    ),
+}
+PAPER_COST = {
+    "paper_cost_median": table.Column("time at the paper's cost [s]", "s", measures.median_of("paper_cost")),
     **{
-        f"paper_cost_ratio_{name}": Column(f"the same / {name}", "1", ratio_to(name, VALUES["paper_cost"]))
+        f"paper_cost_ratio_{name}": table.Column(
+            f"the same / {name}", "1", measures.ratio_to(name, VALUES["paper_cost"])
+        )
         for name in (REFERENCE, BASELINE)
     },
-    **{
-        split_metric(name, part): Column(label, "1", ratio_to(REFERENCE, value, part))
-        for name, (label, value) in RATIOS.items()
-        for part in PARTS
-    },
-    **{
-        curve_metric(time): Column(f"{time:g} s", "%", share_of(partial(_within, time)))
-        for time in CURVE_TIMES
-    },
 }
-EFFORT = (
-    "path_length_raw_median",
-    "projections_median",
-    "newton_iterations_median",
-    "state_checks_median",
-    "time_ratio",
-    "fallbacks",
-)
-PAPER_COST = ("paper_cost_median", f"paper_cost_ratio_{REFERENCE}", f"paper_cost_ratio_{BASELINE}")
+SPLIT = {
+    split_metric(name, part): table.Column(label, "1", measures.ratio_to(REFERENCE, value, part))
+    for name, (label, value) in RATIOS.items()
+    for part in PARTS
+}
+CURVE = {
+    f"solved_within_{time:g}_s": table.Column(f"{time:g} s", "%", measures.share_of(partial(_within, time)))
+    for time in CURVE_TIMES
+}
+COLUMNS: Mapping[str, table.Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
 HEADLINES: Mapping[str, Mapping[str, str]] = {
     "accuracy": {"ours": "accuracy"},
     **{
@@ -102,9 +86,9 @@ HEADLINES: Mapping[str, Mapping[str, str]] = {
 }
 """The paper's metrics, and our columns that answer them."""
 BRIEF = (
-    BriefColumn("solved [%]", "accuracy", "accuracy"),
-    BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
-    BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
+    table.BriefColumn("solved [%]", "accuracy", "accuracy"),
+    table.BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
+    table.BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
 )
 METHOD_NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
@@ -126,18 +110,18 @@ METHOD_NOTES = (
 )
 
 
-def place_task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+def place_task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
     """The rows of one suite; sentences of the paper are judged where its numbers stand beside ours."""
-    runs = suite_runs(rows, published)
-    found = entries(runs, COLUMNS, published)
+    runs = table.suite_runs(rows, published)
+    found = table.entries(runs, COLUMNS, published)
     said = statement_lines(judged(ABOUT_PLACE_TASK, runs.rows, published)) if published else []
     sections = _sections(runs, found, published, said)
-    return Rendered(
+    return table.Rendered(
         size=_size(runs),
         sections=sections,
         latex=_latex(runs, found),
-        csv=csv_of(runs.rows[0].suite, found),
-        brief=brief_lines(found, BRIEF),
+        csv=table.csv_of(runs.rows[0].suite, found),
+        brief=table.brief_lines(found, BRIEF),
     )
 
 
@@ -146,21 +130,21 @@ def _size(runs: SuiteRuns, of: str = "problems") -> str:
 
 
 def _sections(
-    runs: SuiteRuns, found: Sequence[Entry], published: Sequence[PublishedValue], said: Lines = ()
+    runs: SuiteRuns, found: Sequence[table.Entry], published: Sequence[PublishedValue], said: Lines = ()
 ) -> Sections:
     """Headlines, what the paper says of them, effort, comparisons, time curve, fallbacks, failures and notes."""
     slowest = max(row.t_total_s or 0.0 for row in runs.rows)
-    curve = CURVE_TIMES[: sum(time < slowest for time in CURVE_TIMES) + 1]
+    curve = list(CURVE)[: sum(time < slowest for time in CURVE_TIMES) + 1]
     shown = {row.planner for row in runs.rows}
     return {
         _size(runs): _headline_lines(found, len(runs.joint)),
         "What the paper says": said,
-        "Effort (medians)": column_lines(found, EFFORT),
-        "At the paper's cost of work": column_lines(found, PAPER_COST),
+        "Effort (medians)": table.column_lines(found, EFFORT),
+        "At the paper's cost of work": table.column_lines(found, PAPER_COST),
         f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
-        "Solved within a time, % of runs": column_lines(found, map(curve_metric, curve)),
-        "Fallbacks": count_lines(found, "fallbacks"),
-        "Failures": count_lines(found, "failures"),
+        "Solved within a time, % of runs": table.column_lines(found, curve),
+        "Fallbacks": table.count_lines(found, "fallbacks"),
+        "Failures": table.count_lines(found, "failures"),
         "Notes": [*METHOD_NOTES, *_footnotes(runs)],
         "Notes on the paper's numbers (all but accuracy are means)": notes_on(
             value for value in published if value.planner in shown
@@ -168,7 +152,7 @@ def _sections(
     }
 
 
-def _headline_lines(found: Sequence[Entry], n_joint: int) -> Lines:
+def _headline_lines(found: Sequence[table.Entry], n_joint: int) -> Lines:
     """Two lines a planner, with medians and with means."""
     header = ["planner", "runs"]
     lines = [header, *([e.title, str(e.n_runs)] if k == 0 else ["– mean", ""] for e in found for k in (0, 1))]
@@ -183,7 +167,7 @@ def _headline_lines(found: Sequence[Entry], n_joint: int) -> Lines:
     return lines
 
 
-def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
+def _split_lines(found: Sequence[table.Entry], runs: SuiteRuns) -> Lines:
     """Ratios on all, easy and hard problems, for every planner but the one they are against."""
     return [
         ["planner", "runs", *(label for label, _ in RATIOS.values())],
@@ -208,7 +192,7 @@ def _footnotes(runs: SuiteRuns) -> Iterable[str]:
         yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
     if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
         yield "The planners did not all run the same problems: their columns do not compare."
-    yield from seed_notes(runs)
+    yield from table.seed_notes(runs)
     if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
         yield (
             f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every other planner's "
@@ -216,28 +200,32 @@ def _footnotes(runs: SuiteRuns) -> Iterable[str]:
         )
 
 
-def _latex(runs: SuiteRuns, found: Sequence[Entry]) -> str:
+def _latex(runs: SuiteRuns, found: Sequence[table.Entry]) -> str:
     suite = runs.rows[0].suite
     caption = f"{suite}, {_size(runs)}: the paper's values and ours. "
     caption += " ".join((*METHOD_NOTES[:4], *_footnotes(runs)))
-    return latex_planners(caption, suite, found, HEADLINES)
+    return table.latex_planners(caption, suite, found, HEADLINES)
 
 
 # ---------------------------------------------------------------- scanned scenes
 
-SENSED: Mapping[str, Column] = {
-    "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
-    "free_in_truth": Column(
-        "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
+SENSED: Mapping[str, table.Column] = {
+    "certified_in_map": table.Column("certified in the map [%]", "%", measures.share_of(solved)),
+    "free_in_truth": table.Column(
+        "of these free in truth [%]", "%", measures.share_of(lambda row: row.true_free is True, solved)
     ),
-    "true_clearance_median": Column("clearance in truth [m]", "m", median_of("true_clearance", "stated")),
-    "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
-    "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
+    "true_clearance_median": table.Column(
+        "clearance in truth [m]", "m", measures.median_of("true_clearance", "stated")
+    ),
+    "sense_median": table.Column("images to map [s]", "s", measures.median_of("sense_time", "stated")),
+    "whole_median": table.Column(
+        "images to certificate [s]", "s", measures.median_of("whole_time", "stated")
+    ),
 }
 """What only scanned scenes have."""
 SENSED_BRIEF = (
     *(column._replace(interval=False) for column in BRIEF),
-    BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
+    table.BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
 )
 SENSED_NOTES = (
     "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second certificate, in the "
@@ -249,21 +237,21 @@ SENSED_NOTES = (
 )
 
 
-def sensor_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+def sensor_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
     """The same on scanned scenes: map and truth, the paper's robot beside them, the paper's words."""
-    runs = suite_runs(rows, published)
-    found = entries(runs, {**COLUMNS, **SENSED}, published)
+    runs = table.suite_runs(rows, published)
+    found = table.entries(runs, {**COLUMNS, **SENSED}, published)
     said = statement_lines(judged(ABOUT_SENSOR, runs.rows, published))
     sections = {
-        "In the map and in truth": column_lines(found, SENSED),
+        "In the map and in truth": table.column_lines(found, SENSED),
         'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"': said,
         **_sections(runs, found, published),
         "Notes on scanned scenes": SENSED_NOTES,
     }
-    return Rendered(
+    return table.Rendered(
         size=_size(runs, "scenes"),
         sections=sections,
         latex=_latex(runs, found),
-        csv=csv_of(runs.rows[0].suite, found),
-        brief=brief_lines(found, SENSED_BRIEF),
+        csv=table.csv_of(runs.rows[0].suite, found),
+        brief=table.brief_lines(found, SENSED_BRIEF),
     )

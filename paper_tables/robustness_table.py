@@ -5,19 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from cvqmpt_lab.results.phase_name import split_problem
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables.measures import REFERENCE, Rows, SuiteRuns, median_of, share_of, solved
+from paper_tables import measures, table
+from paper_tables.measures import REFERENCE, Rows, SuiteRuns, solved
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.table import (
-    Column,
-    Entry,
-    Rendered,
-    brief_groups,
-    csv_of,
-    entry,
-    group_lines,
-    latex_groups,
-    suite_runs,
-)
 
 Setting = tuple[tuple[str, str], ...]
 """Name and value of everything that can be varied, in order."""
@@ -37,11 +27,13 @@ def _collisions(rows: Rows, runs: SuiteRuns) -> Interval:
     return Interval(sum(row.true_free is False for row in paths), None, None, len(paths))
 
 
-COLUMNS: Mapping[str, Column] = {
-    "solved": Column("solved [%]", "%", share_of(solved)),
-    "true_free": Column("free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)),
-    "collisions": Column("collide in truth", "1", _collisions, cell=lambda count: str(count.estimate)),
-    "length": Column("length [rad]", "rad", median_of("path_length", "solved")),
+COLUMNS: Mapping[str, table.Column] = {
+    "solved": table.Column("solved [%]", "%", measures.share_of(solved)),
+    "true_free": table.Column(
+        "free in truth [%]", "%", measures.share_of(lambda row: row.true_free is True, solved)
+    ),
+    "collisions": table.Column("collide in truth", "1", _collisions, cell=lambda count: str(count.estimate)),
+    "length": table.Column("length [rad]", "rad", measures.median_of("path_length", "solved")),
 }
 NOTES = (
     "One thing is varied, everything else is at its default (marked *). Scenes, starts and goals are the same.",
@@ -51,12 +43,12 @@ NOTES = (
 )
 
 
-def robustness_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> Rendered:
+def robustness_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
     """A table for each thing that is varied, and the padding that follows from them."""
     rows = list(rows)
     levels = levels_of(rows)
     advice = _advice(levels)
-    lines = group_lines(levels, ["", "value"])
+    lines = table.group_lines(levels, ["", "value"])
     header, suite = lines[0][1:], rows[0].suite
     parts = {
         TITLES.get(factor, factor): [header, *(line[1:] for line in lines[1:] if line[0] == factor)]
@@ -64,18 +56,18 @@ def robustness_table(rows: Iterable[ResultRow], published: Sequence[PublishedVal
     }
     size = f"{len({split_problem(row.problem).number for row in rows})} scenes"
     caption = f"{size.replace('scenes', 'scanned scenes')}, measured in several ways. {advice} {NOTES[0]}"
-    return Rendered(
+    return table.Rendered(
         size=size,
         sections={"": [advice], **parts, "Notes": NOTES},
-        latex=latex_groups(caption, suite, lines),
-        csv=csv_of(suite, levels),
-        brief=[*brief_groups(lines, (0, 1, 2, 4, 5, 6)), advice],
+        latex=table.latex_groups(caption, suite, lines),
+        csv=table.csv_of(suite, levels),
+        brief=[*table.brief_groups(lines, (0, 1, 2, 4, 5, 6)), advice],
     )
 
 
-def levels_of(rows: Iterable[ResultRow]) -> list[Entry]:
+def levels_of(rows: Iterable[ResultRow]) -> list[table.Entry]:
     """Planners at every value of one thing, the rest as in most runs; a group is what is varied and its value."""
-    runs = suite_runs(rows)
+    runs = table.suite_runs(rows)
     by_setting: dict[Setting, list[ResultRow]] = {}
     for row in runs.rows:
         by_setting.setdefault(_setting(row), []).append(row)
@@ -90,7 +82,7 @@ def levels_of(rows: Iterable[ResultRow]) -> list[Entry]:
             for planner in planners:
                 chosen = [row for row in by_setting[setting] if row.planner == planner]
                 suffix = f"_at_{factor}={value}"
-                levels.append(entry(planner, chosen, runs, COLUMNS, group=group, suffix=suffix))
+                levels.append(table.entry(planner, chosen, runs, COLUMNS, group=group, suffix=suffix))
     return levels
 
 
@@ -110,7 +102,7 @@ def _order(value: str) -> float:
     return float("inf") if value == "all" else float(value)
 
 
-def safe_padding(levels: Sequence[Entry]) -> str | None:
+def safe_padding(levels: Sequence[table.Entry]) -> str | None:
     """Least padding [m] at which, and above which, every path is free in truth; None if there is none."""
     found = None
     padded = [level for level in levels if level.group[0] == "padding"]
@@ -121,7 +113,7 @@ def safe_padding(levels: Sequence[Entry]) -> str | None:
     return found
 
 
-def _advice(levels: Sequence[Entry]) -> str:
+def _advice(levels: Sequence[table.Entry]) -> str:
     padding = safe_padding(levels)
     if padding is None:
         return "No padding that was tried makes every path free in truth."

@@ -119,7 +119,7 @@ def _ratios(traces: Sequence[Trace], best: Sequence[float]) -> list[Interval]:
     for time in TIMES:
         values = [best_by(trace, time) / known for trace, known in zip(traces, best, strict=True)]
         solved = np.isfinite(values).mean() >= 0.95
-        intervals.append(mean_of_solved(values if solved else [], np.random.default_rng(0)))
+        intervals.append(mean_of_solved(values if solved else []))
     return intervals
 
 
@@ -134,7 +134,7 @@ def _shares(traces: Sequence[Trace], best: Sequence[float]) -> list[Interval]:
 def _cells(name: str, reached: Mapping[str, Sequence[float]]) -> dict[str, object]:
     """A method's line of the table; where it never came so near, the whole time stands in the ratio."""
     own = np.minimum(reached[name], SECONDS)
-    ratio = geometric_mean_interval(np.minimum(reached[REFERENCE], SECONDS) / own, np.random.default_rng(0))
+    ratio = geometric_mean_interval(np.minimum(reached[REFERENCE], SECONDS) / own)
     middle = median_interval(reached[name])
     return {
         "method": name,
