@@ -8,7 +8,6 @@ from experiments.trust.check import Check
 
 PARTS: Mapping[str, str] = {
     "determinism": "experiments.trust.determinism",
-    "differential": "experiments.trust.differential",
     "faults": "experiments.trust.faults",
     "long-runs": "experiments.trust.long_runs",
 }

@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from toppra_duration import toppra_duration
 
 from cli.main import main
 from cvqmpt_lab.certificate import certify
@@ -22,7 +23,6 @@ from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
-from experiments.trust.differential import toppra_duration
 
 FULL = TimingSettings(speed=1.0)
 TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))

@@ -1,0 +1,156 @@
+"""Two independent ways to the same answer: what one calls free, projected, certified or timed, the other does too."""
+
+import numpy as np
+import pytest
+import torch
+from ompl import base as ob
+from toppra_duration import toppra_duration
+from torch.nn import functional as F
+
+from cvqmpt_lab.certificate import TOLERANCE, certify
+from cvqmpt_lab.constraints.between_states import evenly_spaced
+from cvqmpt_lab.constraints.report import bound_usage
+from cvqmpt_lab.methods.loaded import EYES
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.result import Budget, JointPath
+from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.trajectory.curve import smooth_curve
+from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from cvqmpt_lab.vqmpt.checkpoint import as_modules
+from cvqmpt_lab.vqmpt.codebook import CodeDecoder, CodeEncoder, ModelConfigurations, load_vq_mpt
+from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
+
+ENOUGH = Budget(iterations=20_000)
+STATES, PATHS = 5000, 50  # at most, on a problem
+FINE = 1e-3  # [rad] between the states at which brute force looks
+AROUND = 5  # states on either side of one that was tampered with
+FAR = 1e-4  # numbers of order 1 that differ by more differ by more than rounding in 32 bits
+
+
+def tuning_problems(trials, size):
+    """Problems, trials to make on each, and its number."""
+    for number in TUNING_ENVIRONMENTS:
+        problem = place_problem(number)
+        if trials > 0 and isinstance(problem, PlanningProblem):
+            yield problem, min(trials, size), number
+            trials -= size
+
+
+def simplified(problem, seed=0):
+    return solve(problem, "birrt", ENOUGH, seed, clearance=False).simplified.path.states
+
+
+def near_contact(problem, space, rng, count):
+    """States (count, n) that the kernels call free, next to one on the way to a state that they do not."""
+    q = problem.robot.random_configurations(rng, 10 * count)
+    valid = space.valid_batch(q)
+    free, colliding = q[valid][:count], q[~valid][:count]
+    for _ in range(16):
+        middle = 0.5 * (free + colliding)
+        valid = space.valid_batch(middle)[:, None]
+        free, colliding = np.where(valid, middle, free), np.where(valid, colliding, middle)
+    return free
+
+
+@pytest.mark.promise("what the kernels call free, coal calls free", "states", ci=2000, long=100_000)
+def test_collision(trials):
+    """Half of the states are near contact."""
+    for problem, count, seed in tuning_problems(trials, STATES):
+        space, rng = ConstrainedSpace(problem), np.random.default_rng(seed)
+        anywhere = problem.robot.random_configurations(rng, count // 2)
+        q = np.concatenate([anywhere, near_contact(problem, space, rng, count // 2)])
+        free = q[space.valid_batch(q)]
+        assert free[problem.collision_checker().in_collision_batch(free)].tolist() == []
+
+
+class Manifold(ob.Constraint):
+    """The constraint F(q) = 0 of a problem, onto which OMPL projects by its own Newton's method."""
+
+    def __init__(self, problem):
+        self.manifold = problem.manifold
+        super().__init__(problem.robot.dof, len(self.manifold.residual(problem.start)), 1e-4)
+
+    def function(self, x, out):
+        out[:] = self.manifold.residual(np.array(x))
+
+    def jacobian(self, x, out):
+        out[:] = self.manifold.jacobian(np.array(x))
+
+
+@pytest.mark.promise("we project what OMPL projects, onto the same manifold", "states", ci=300, long=100_000)
+def test_projection(trials):
+    for problem, count, seed in tuning_problems(trials, STATES):
+        by_ompl, robot = Manifold(problem), problem.robot
+        for q in robot.random_configurations(np.random.default_rng(seed), count):
+            ours, theirs = problem.manifold.project(q), q.copy()
+            reached = by_ompl.project(theirs) and robot.joint_outside_limits(theirs) is None
+            assert ours is not None or not reached, q.tolist()
+            if ours is not None:
+                inside = robot.joint_outside_limits(ours) is None
+                assert by_ompl.isSatisfied(ours) and inside, q.tolist()
+
+
+@pytest.mark.promise(
+    "no tampered path is certified that brute force at 0.001 rad refuses", "paths", ci=15, long=1000
+)
+def test_certificate(trials):
+    """A state of a certified path is moved by 0.1 mrad to 0.5 rad, its neighbours by less."""
+    for problem, count, seed in tuning_problems(trials, PATHS):
+        states, rng, checker = simplified(problem), np.random.default_rng(seed), problem.collision_checker()
+        bend = 1.0 - np.abs(np.arange(-AROUND, AROUND + 1)) / AROUND
+        for _ in range(count):
+            middle = rng.integers(AROUND, len(states) - AROUND)
+            piece = states[middle - AROUND : middle + AROUND + 1].copy()
+            piece += 10.0 ** rng.uniform(-4.0, -0.3) * bend[:, None] * rng.standard_normal(problem.robot.dof)
+            judged = certify(problem, JointPath(piece), checker, clearance=False)
+            kinds = {str(fault.kind) for fault in judged.faults}
+            fine = evenly_spaced(piece, FINE)
+            excess = [use.excess for use in bound_usage(problem.robot, problem.constraint, fine)]
+            assert "collision" in kinds or not checker.in_collision_batch(fine).any(), piece.tolist()
+            assert "manifold" in kinds or max(excess, default=0.0) <= TOLERANCE, piece.tolist()
+
+
+@pytest.mark.promise("motions are as fast as toppra's, to 1 %", "paths", ci=2, long=1000)
+def test_timing(trials):
+    for problem, count, seed in tuning_problems(trials, PATHS):
+        limits = problem.robot.joint_limits
+        for k in range(count):
+            states = simplified(problem, seed + k)
+            ours = time_path(states, limits, TimingSettings(speed=1.0)).duration
+            curve = smooth_curve(states, TimingSettings().deviation)
+            theirs = toppra_duration(curve, limits.velocity, limits.acceleration)
+            assert ours == pytest.approx(theirs, rel=0.01), seed + k
+
+
+@pytest.mark.promise(
+    "what the networks compute in numpy, torch computes too", "states", ci=2000, long=100_000
+)
+@torch.inference_mode()
+def test_networks(trials):
+    stored = load_vq_mpt(panda())
+    dictionary = as_modules(stored).dictionary
+    for problem, count, seed in tuning_problems(trials, STATES):
+        rng = np.random.default_rng(seed)
+        q = problem.robot.random_configurations(rng, count)
+        of = ModelConfigurations(stored, problem.robot).of(q)
+        codes = dictionary.encode(torch.from_numpy(of)[None])[0].numpy()
+        np.testing.assert_array_equal(CodeEncoder.of(stored)(of), codes)
+        z = rng.standard_normal((count, stored.config.dictionary.code_dim)).astype(np.float32)
+        z /= np.linalg.norm(z, axis=1, keepdims=True)
+        theirs, ours = dictionary.decode(torch.from_numpy(z)), CodeDecoder(stored).decode(z)
+        np.testing.assert_allclose(ours.mean, theirs.mean.numpy(), rtol=0, atol=FAR)
+        np.testing.assert_allclose(ours.covariance, theirs.covariance.numpy(), rtol=0, atol=FAR)
+        network = SmallNetwork.of(stored.parts[EYES])
+        inputs = rng.uniform(0.0, 3.0, (count, network.inputs))  # lengths [rad, m] and costs
+        outputs = small_network_in_torch(stored.parts[EYES], torch.from_numpy(inputs).float())
+        np.testing.assert_allclose(network(inputs), outputs.numpy(), rtol=FAR, atol=FAR)
+
+
+def small_network_in_torch(arrays, inputs):
+    weights = {name: torch.from_numpy(array) for name, array in arrays.items()}
+    hidden = F.linear(inputs, weights["first"], weights["first_bias"]).relu()
+    hidden = F.linear(hidden, weights["second"], weights["second_bias"]).relu()
+    return F.linear(hidden, weights["last"][None], weights["last_bias"])[:, 0]

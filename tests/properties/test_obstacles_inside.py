@@ -1,0 +1,85 @@
+"""Obstacles put where the robot passes: whatever their size, and wherever their frame lies, every checker sees them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from properties.test_differential import simplified, tuning_problems
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.certificate import FaultKind, certify
+from cvqmpt_lab.planning.result import JointPath
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
+
+CAN = Attachment("can", Cylinder(0.02, 0.1), pose((0.0, 0.0, 0.17)))
+CORNERS = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, 8).T
+DEEP = 0.03  # share by which a point lies further inside a link than a mean of some of its corners does
+
+
+def solid(rng):
+    """A shape of 0.3 mm to 30 km, and a point (3,) inside it, often near its surface."""
+    size = 10.0 ** rng.uniform(-3.5, 3.5) * 10.0 ** rng.uniform(0.0, 1.0, 3)
+    x, y, z = inside = rng.uniform(-0.5, 0.5, 3)
+    a, b, c = size
+    mesh = np.clip(size, 0.003, 1e4)
+    made = (
+        (Box((a, b, c)), inside * size),
+        (Cylinder(a, c), np.array([x * a, y * a, z * c])),
+        (Sphere(a), inside * a),
+        (ConvexMesh(CORNERS * mesh), inside * mesh),
+    )
+    return made[rng.integers(len(made))]
+
+
+def cloud(rng):
+    """A cloud of up to 3000 points within 10 km of each other, up to 1000 km from its origin, and one of the points."""
+    shift = rng.standard_normal(3) * 10.0 ** rng.uniform(-1.0, 6.0)
+    wide = 10.0 ** rng.uniform(-1.0, 4.0)
+    points = rng.uniform(-wide, wide, (rng.choice([1, 10, 1000, 1001, 3000]), 3)) + shift
+    return PointCloud(points, 10.0 ** rng.uniform(-9.0, -1.5)), points[0]
+
+
+def occupancy_map(rng):
+    """A map of up to 500 cells, up to 100 km from its origin, and a point inside one of them."""
+    cells = rng.integers(-900_000, 900_000, 3) + rng.integers(0, 40, (rng.choice([1, 500]), 3))
+    edge = 10.0 ** rng.uniform(-3.0, -1.0)
+    return OccupancyMap(cells.astype(float), edge), (cells[0] + rng.uniform(0.01, 0.99, 3)) * edge
+
+
+def point_inside(robot, q, rng):
+    """A point (3,) [m] inside a moving link at q, or inside the can in the hand."""
+    if rng.random() < 0.2:
+        return (robot.pose(q) @ CAN.T_hand_object)[:3, 3]
+    pieces = [piece for piece in robot.links if piece.link > 0]
+    piece = pieces[rng.integers(len(pieces))]
+    frame = next(name for name in robot.frame_names if robot.link_of(name)[0] == piece.link)
+    T = robot.pose(q, frame) @ np.linalg.inv(robot.link_of(frame)[1]) @ piece.T_link_geometry
+    some = rng.dirichlet(np.full(len(piece.vertices), 0.2)) @ piece.vertices
+    return T[:3, :3] @ (DEEP * piece.vertices.mean(axis=0) + (1.0 - DEEP) * some) + T[:3, 3]
+
+
+@pytest.mark.promise(
+    "an obstacle that a link or the can it carries is in is seen, of any size, its frame anywhere",
+    "obstacles", ci=20, long=5000,
+)  # fmt: skip
+def test_obstacles_on_a_path(trials):
+    for problem, count, seed in tuning_problems(trials, 500):
+        states, rng = simplified(problem), np.random.default_rng(seed)
+        for trial in range(count):
+            k = int(rng.integers(len(states) - 1))
+            q = states[k] + rng.random() * (states[k + 1] - states[k])
+            shape, point = (solid, cloud, occupancy_map)[trial % 3](rng)
+            T = np.eye(4)
+            T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+            T[:3, 3] = point_inside(problem.robot, q, rng) - T[:3, :3] @ point
+            hit = replace(problem, scene=Scene("hit", (SceneObject("hit", shape, T),)), attachments=(CAN,))
+            faults = certify(hit, JointPath(states[k : k + 2]), clearance=False).faults
+            seen = {
+                "kernels": not ConstrainedSpace(hit).valid(q),
+                "coal": hit.collision_checker().in_collision(q),
+                "certificate": any(fault.kind is FaultKind.COLLISION for fault in faults),
+            }
+            assert all(seen.values()), (seen, problem.name, trial, shape, T)
