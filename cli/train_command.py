@@ -10,9 +10,8 @@ from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.training.profiles import PROFILES, Profile, profile_named
-from cvqmpt_lab.training.ranks import Ranks
-from cvqmpt_lab.training.runner import STAGES, Request, run_training
+from cvqmpt_lab.training.profiles import MODELS, PROFILES, Profile, profile_named
+from cvqmpt_lab.training.trainer import joined_processes, run_training
 
 PARTS = {"sight": 400}
 """Small parts of a model, trained in minutes by kernels at hand, and the scenes that are enough for them."""
@@ -30,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     parser.add_argument(
         "stage",
-        help=f"what to train: {', '.join(STAGES)}; or {', '.join(PARTS)}: a model's eyes, from data "
+        help=f"what to train: {', '.join(MODELS)}; or {', '.join(PARTS)}: a model's eyes, from data "
         "with --labels roadmap",
     )
     how = parser.add_mutually_exclusive_group()
@@ -83,11 +82,11 @@ def run(args: argparse.Namespace) -> int:
     origin = provenance(command, [args.seed])
     if args.stage in PARTS:
         return _train_part(args, {"provenance": origin})
-    request = Request(
-        stage=args.stage,
-        profile=profile,
-        data=args.data,
-        out=args.out,
+    progress = run_training(
+        args.stage,
+        profile,
+        args.data,
+        args.out,
         dictionary=args.dictionary,
         seed=args.seed,
         epochs=args.epochs,
@@ -96,17 +95,13 @@ def run(args: argparse.Namespace) -> int:
         device=args.device,
         verify=not args.skip_checksums,
         metadata={"command": command, "provenance": origin},
+        report=ProgressBar(args.stage),
     )
-    bar = ProgressBar(args.stage)
-    outcome = run_training(
-        request, lambda tick: bar(tick.done, tick.total, f"epoch {tick.epoch + 1}, loss {tick.loss:.4f}")
-    )
-    if not Ranks.joined().is_first:
+    if joined_processes()[0] > 0:
         return 0
-    last = outcome.progress.rows[-1] if outcome.progress.rows else {}
-    for name, value in last.items():
+    for name, value in (progress.rows[-1] if progress.rows else {}).items():
         print(f"{name:40} {'' if value is None else format(value, '.6g')}")
-    if not outcome.finished:
+    if not progress.finished:
         print("stopped after --minutes; the same command continues", file=sys.stderr)
     print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
     return 0

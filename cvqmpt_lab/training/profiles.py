@@ -1,16 +1,23 @@
 """Named trainings as plain tables: model and settings of every stage."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.training.batches import SceneBatchSettings
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.mpnet import MPNetSettings
-from cvqmpt_lab.training.optimizer import OptimizerSettings
-from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings
-from cvqmpt_lab.training.scene_batches import SceneBatchSettings
-from cvqmpt_lab.training.stage1 import Stage1Settings
-from cvqmpt_lab.training.stage2 import Stage2Settings
+from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
+from cvqmpt_lab.training.stage1 import Stage1, Stage1Settings
+from cvqmpt_lab.training.stage2 import Stage2, Stage2Settings
+from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
+from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings
 from cvqmpt_lab.vqmpt import config as sizes
+from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint
+from cvqmpt_lab.vqmpt.weights import checkpoint_folder
+
+MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model"}  # what each stage trains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,14 +25,11 @@ class Profile:
     """What to train and how."""
 
     name: str
-    link_features: bool
-    """The model takes link positions, as many as the dataset's kinematics give."""
-    model: sizes.ModelConfig
-    """Sizes; joints and features are the dataset's (`model_for`)."""
+    link_features: bool  # the model takes link positions, as many as the dataset's kinematics give
+    model: sizes.ModelConfig  # joints and features are the dataset's, see `model_for`
     mpnet_model: sizes.MPNetConfig
     stage1: Stage1Settings
-    stage2: Stage2Settings | None
-    """None where the model is of a kind without a sequence model."""
+    stage2: Stage2Settings | None  # None where the model is of a kind without a sequence model
     mpnet: MPNetSettings
 
     def __post_init__(self) -> None:
@@ -48,11 +52,37 @@ class Profile:
                 "set link_features to false"
             )
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
-        return replace(self.model, joint_dim=dataset.joint_dim, feature_dim=feature_dim)
+        return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)
 
     def mpnet_model_for(self, dataset: PathDataset) -> sizes.MPNetConfig:
         """The network for a dataset."""
-        return replace(self.mpnet_model, joint_dim=dataset.joint_dim)
+        return replace(self.mpnet_model, joint_dim=len(dataset.robot.lower))
+
+    def stage(
+        self, name: str, dataset: PathDataset, dictionary: Path | None, seed: int, device: torch.device
+    ) -> Stage:
+        """A stage, ready to be trained on a dataset; dictionary: folder of stage 1, for stage 2.
+
+        Raises
+        ------
+        InvalidInputError, UnknownChoiceError
+            When there is no such stage, or dataset, dictionary and model do not fit each other.
+        """
+        if name not in MODELS:
+            raise UnknownChoiceError("stage", name, MODELS)
+        if dictionary is not None and name != "stage2":
+            raise InvalidInputError(f"{name} takes no dictionary; leave it out")
+        if name == "stage1":
+            return Stage1(dataset, self.model_for(dataset), self.stage1, seed, device)
+        if name == "mpnet":
+            return MPNetStage(dataset, self.mpnet_model_for(dataset), self.mpnet, seed, device)
+        if self.stage2 is None:
+            own = ", ".join(name for name, one in PROFILES.items() if one.stage2 is not None)
+            raise InvalidInputError(f"profile {self.name!r} has no stage2; profiles with one: {own}")
+        if dictionary is None:
+            raise InvalidInputError("stage2 needs the dictionary that stage1 trained; name its folder")
+        words = load_checkpoint(checkpoint_folder(dictionary) or dictionary)
+        return Stage2(dataset, words, self.model_for(dataset), self.stage2, seed, device)
 
 
 def _compact() -> Profile:

@@ -1,6 +1,6 @@
-"""A folder of training paths on disk, checked array by array.
+"""Folders of training data on disk, checked array by array: near-shortest paths, or labels on a dictionary's roadmap.
 
-As ``cvqmpt data generate`` writes it::
+As ``cvqmpt data generate`` writes them; s scenes, m shapes, p paths, n joints, N nodes, E edges::
 
     dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families, kinematics (a
                      vqmpt.inputs.SerialChain), provenance
@@ -8,11 +8,23 @@ As ``cvqmpt data generate`` writes it::
     shards/NNNNNN.npz
         family (s,) uint8, scene_seed (s,) int64
         shape_start (s+1,) int32: ranges into the shapes; shape_kind (m,) uint8, shape_size (m,3) float32 and
-        shape_pose (m,3,4) float32: as in paths.Shapes
+        shape_pose (m,3,4) float32: as in dataset.Shapes
         path_scene (p,) int32: row of the scene in this shard; path_start (p+1,) int32: ranges into the waypoints
         waypoints (w,n) uint16: u * 65535, at most 0.13 rad apart along a path
         length, straight (p,) float32 [rad]; trivial (p,) bool: the straight line is free
         twin_of (p,) int32: row of the path in this shard of which this is a second label, or -1
+
+With ``--labels roadmap``::
+
+    roadmap.npz      nodes (N,n) float64 [rad], edges (E,2) int32, node_possible (N,) and edge_possible (E,) bool: free
+                     in an empty scene
+    shards/NNNNNN.npz
+        family, scene_seed, shape_start, shape_kind, shape_size, shape_pose: as above
+        node_free (s,N/8) and edge_free (s,E/8) uint8: packed bits
+        path_scene (p,) int32, ends (p,2,n) uint16: start and goal, u * 65535
+        code_start (p+1,) int32: ranges into codes (c,) uint16
+        cost (p,) float32: length through the codes [rad], inf where there is no path; straight (p,) float32 [rad]
+        differs (p,) bool: the codes are others than those of the shortest path in an empty scene
 """
 
 import hashlib
@@ -20,7 +32,7 @@ import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -30,14 +42,12 @@ from cvqmpt_lab.files import read_bytes, read_text, require_regular_file, write_
 SCHEMA = 1
 DESCRIPTION_FILE = "dataset.json"
 INDEX_FILE = "shards.csv"
+ROADMAP_FILE = "roadmap.npz"
 SHARDS_FOLDER = "shards"
 COLUMNS = ("shard", "sha256", "scenes", "paths")
-FULL_SCALE = 65535.0
-"""What a stored joint is at the upper limit."""
+FULL_SCALE = 65535.0  # what a stored joint is at the upper limit
 
-Arrays = dict[str, np.ndarray]
-
-_REQUIRED = {
+_REQUIRED = {  # dimensions and kinds of numbers (numpy's letters) of every array
     "family": (1, "u"),
     "scene_seed": (1, "iu"),
     "shape_start": (1, "iu"),
@@ -52,11 +62,9 @@ _REQUIRED = {
     "trivial": (1, "b"),
     "twin_of": (1, "i"),
 }
-"""Dimensions and kinds of numbers (numpy's letters) of every array."""
 
 
-@dataclass(frozen=True)
-class IndexRow:
+class IndexRow(NamedTuple):
     """One line of the index."""
 
     shard: int
@@ -70,23 +78,15 @@ class IndexRow:
         return f"{self.shard:06d}.npz"
 
 
-@dataclass(frozen=True, eq=False)
-class Shard:
-    """A shard to be written."""
-
-    row: IndexRow
-    content: bytes
-
-    @classmethod
-    def of(cls, number: int, arrays: Arrays) -> Self:
-        """Pack arrays."""
-        file = io.BytesIO()
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
-        content, counts = file.getvalue(), (len(arrays["scene_seed"]), len(arrays["path_scene"]))
-        return cls(IndexRow(number, hashlib.sha256(content).hexdigest(), *counts), content)
+def packed_shard(number: int, arrays: dict[str, np.ndarray]) -> tuple[IndexRow, bytes]:
+    """Return the index row and the file content of a shard."""
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
+    content, counts = file.getvalue(), (len(arrays["scene_seed"]), len(arrays["path_scene"]))
+    return IndexRow(number, hashlib.sha256(content).hexdigest(), *counts), content
 
 
-def write_shard(folder: Path, shard: Shard, rows: Iterable[IndexRow]) -> None:
+def write_shard(folder: Path, row: IndexRow, content: bytes, rows: Iterable[IndexRow]) -> None:
     """Put a shard on disk, then write the index of all `rows`, its own included.
 
     Raises
@@ -94,8 +94,8 @@ def write_shard(folder: Path, shard: Shard, rows: Iterable[IndexRow]) -> None:
     InvalidInputError
         When the disk refuses; what was there stays.
     """
-    write_bytes(folder / SHARDS_FOLDER / shard.row.file, shard.content)
-    lines = [f"{row.shard:06d},{row.sha256},{row.scenes},{row.paths}" for row in sorted(rows, key=_number)]
+    write_bytes(folder / SHARDS_FOLDER / row.file, content)
+    lines = [f"{row.shard:06d},{row.sha256},{row.scenes},{row.paths}" for row in sorted(rows)]
     write_text(folder / INDEX_FILE, "\n".join((",".join(COLUMNS), *lines, "")))
 
 
@@ -114,12 +114,7 @@ def finished_shards(folder: Path) -> list[IndexRow]:
     ]
 
 
-def _number(row: IndexRow) -> int:
-    return row.shard
-
-
 def _parsed(line: str) -> IndexRow | None:
-    """A line of the index, None when it is none."""
     fields = line.split(",")
     if len(fields) != len(COLUMNS) or not all(f.isascii() and f.isdigit() for f in (fields[0], *fields[2:])):
         return None
@@ -145,16 +140,26 @@ def read_index(folder: Path) -> list[IndexRow]:
     for number, line in enumerate(lines, 2):
         row = _parsed(line)
         if row is None:
-            raise InvalidInputError(f"{path}, line {number} is damaged; generate again, which mends it")
+            raise InvalidInputError(f"{path}, line {number} is damaged; generate again, which repairs it")
         rows.append(row)
     if not rows:
         raise InvalidInputError(f"{path} lists no shard; generate paths first")
     if len({row.shard for row in rows}) < len(rows):
-        raise InvalidInputError(f"{path} lists a shard twice; generate again, which mends it")
+        raise InvalidInputError(f"{path} lists a shard twice; generate again, which repairs it")
     return rows
 
 
-def read_shard(folder: Path, row: IndexRow, joints: int, families: int, *, verify: bool = True) -> Arrays:
+def _read_arrays(path: Path, data: bytes) -> dict[str, np.ndarray]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except Exception as error:  # what a damaged archive raises depends on the byte
+        raise InvalidInputError(f"{path} is not a readable archive of arrays: {error}") from error
+
+
+def read_shard(
+    folder: Path, row: IndexRow, joints: int, families: int, *, verify: bool = True
+) -> dict[str, np.ndarray]:
     """Arrays of one shard, checked against each other and the index.
 
     Raises
@@ -166,11 +171,7 @@ def read_shard(folder: Path, row: IndexRow, joints: int, families: int, *, verif
     data = read_bytes(require_regular_file(path))
     if verify and hashlib.sha256(data).hexdigest() != row.sha256:
         raise InvalidInputError(f"{path} is damaged (sha256); fetch or generate it again")
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except Exception as error:  # what a damaged archive raises depends on the byte
-        raise InvalidInputError(f"{path} is not a readable shard: {error}") from error
+    arrays = _read_arrays(path, data)
     for name, (dimensions, kinds) in _REQUIRED.items():
         if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in kinds:
             raise InvalidInputError(f"{path}: array {name} is missing or not as described")
@@ -182,7 +183,9 @@ def read_shard(folder: Path, row: IndexRow, joints: int, families: int, *, verif
     return arrays
 
 
-def _checks(arrays: Arrays, row: IndexRow, joints: int, families: int) -> Iterator[tuple[str, bool]]:
+def _checks(
+    arrays: dict[str, np.ndarray], row: IndexRow, joints: int, families: int
+) -> Iterator[tuple[str, bool]]:
     """What must hold, by the array to name when it does not."""
     s, m, p = (len(arrays[name]) for name in ("scene_seed", "shape_kind", "path_scene"))
     waypoints, path_start = arrays["waypoints"], arrays["path_start"]
@@ -214,3 +217,70 @@ def _are_ranges(start: np.ndarray, count: int, total: int) -> bool:
     return (
         len(start) == count + 1 and start[0] == 0 and start[-1] == total and bool((np.diff(start) >= 0).all())
     )
+
+
+@dataclass(frozen=True, eq=False)
+class RoadmapGraph:
+    """The nodes and edges that are labelled."""
+
+    nodes: np.ndarray  # (N, n) [rad]
+    edges: np.ndarray  # (E, 2) int32, each pair once
+    node_possible: np.ndarray  # (N,) bool: free in an empty scene
+    edge_possible: np.ndarray  # (E,) bool, likewise
+
+    @property
+    def digest(self) -> str:
+        """Which nodes these are: sha256 of them."""
+        return hashlib.sha256(self.nodes.tobytes()).hexdigest()
+
+    def write(self, folder: Path) -> None:
+        """Put it into a dataset's folder."""
+        file = io.BytesIO()
+        np.savez_compressed(file, **vars(self))
+        write_bytes(folder / ROADMAP_FILE, file.getvalue())
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """What `write` wrote; InvalidInputError where it is missing or damaged."""
+        path = folder / ROADMAP_FILE
+        arrays = _read_arrays(path, read_bytes(require_regular_file(path)))
+        try:
+            return cls(**{name: arrays[name] for name in cls.__annotations__})
+        except KeyError as error:
+            raise InvalidInputError(f"{path}: array {error} is missing; generate it again") from error
+
+
+class RoadmapShard(NamedTuple):
+    """Labels of the scenes of one shard: the arrays as on disk."""
+
+    arrays: dict[str, np.ndarray]
+    graph: RoadmapGraph
+
+    @classmethod
+    def read(cls, folder: Path, row: IndexRow, graph: RoadmapGraph) -> Self:
+        """One shard; InvalidInputError where it is missing, damaged or of another roadmap."""
+        path = folder / SHARDS_FOLDER / row.file
+        arrays = _read_arrays(path, read_bytes(require_regular_file(path)))
+        bits = [(row.scenes, -(-len(part) // 8)) for part in (graph.nodes, graph.edges)]
+        try:
+            fits = [arrays["node_free"].shape, arrays["edge_free"].shape] == bits
+            fits = fits and len(arrays["code_start"]) == len(arrays["ends"]) + 1 == row.paths + 1
+        except KeyError as error:
+            raise InvalidInputError(f"{path}: array {error} is missing; generate it again") from error
+        if not fits:
+            raise InvalidInputError(f"{path} does not fit {ROADMAP_FILE} or the index; generate it again")
+        return cls(arrays, graph)
+
+    def node_free(self, scene: int) -> np.ndarray:
+        """(N,) bool."""
+        return np.unpackbits(self.arrays["node_free"][scene], count=len(self.graph.nodes)).astype(bool)
+
+    def edge_free(self, scene: int) -> np.ndarray:
+        """(E,) bool."""
+        return np.unpackbits(self.arrays["edge_free"][scene], count=len(self.graph.edges)).astype(bool)
+
+
+def read_roadmap_shards(folder: Path) -> list[RoadmapShard]:
+    """All shards of a folder; errors as in `RoadmapShard.read` and `read_index`."""
+    graph = RoadmapGraph.read(folder)
+    return [RoadmapShard.read(folder, row, graph) for row in read_index(folder)]

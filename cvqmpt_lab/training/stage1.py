@@ -1,25 +1,31 @@
-"""Stage 1: learn the dictionary, from waypoints to codes to Gaussians."""
+"""Stage 1 of VQ-MPT: learn a dictionary of codes, each of which stands for a Gaussian over joint angles.
+
+A waypoint q is encoded to a latent z = f(q), which is replaced by the nearest code z_q of the dictionary and decoded
+to N(mu, Sigma), Sigma = L D L^T. The loss of trajectories q_1 ... q_T is, with sg the stopped gradient,
+
+    sum_t [ -log N(q_t | mu_t, Sigma_t) - w H(N(mu_t, Sigma_t)) ]                 mean over trajectories
+    + beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2                                  mean over waypoints
+
+Its first line, the reconstruction, selects the best model; padding never counts.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.link_positions import LinkPositions
-from cvqmpt_lab.training.losses import stage1_loss
-from cvqmpt_lab.training.optimizer import OptimizerSettings
-from cvqmpt_lab.training.paths import unpacked, with_few_trivial
-from cvqmpt_lab.training.run_folder import Progress
-from cvqmpt_lab.training.scene_batches import batch_seed
-from cvqmpt_lab.training.stage import Batch, Stage
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.training.batches import batch_seed
+from cvqmpt_lab.training.dataset import PathDataset, unpacked, with_few_trivial
+from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
-from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.dictionary import Dictionary, DictionaryOutput, Quantized
+from cvqmpt_lab.vqmpt.inputs import SerialChain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,31 +33,112 @@ class Stage1Settings:
     """How the dictionary is trained."""
 
     epochs: int = 20
+    # Rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones, which stand
+    # for paths so that the parts of the loss keep their published proportions.
     batch: int = 64
-    """Rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones, which stand
-    for paths so that the parts of the loss keep their published proportions."""
     row: int = 32
-    batches_per_epoch: int | None = None
-    """At most; None for all paths."""
-    spacing: float | None = None
-    """Of waypoints along a path [rad]; None to take all."""
-    trivial_share: float = 0.15
-    """Of paths whose straight line is free, at most."""
-    turn_base: bool = False
-    """Turn whole paths about the base."""
-    entropy_weight: float = 0.1
-    restart_every: int = 200
-    """Steps between restarts of codes that are hardly used (only where the model is `data_initialised`)."""
-    restart_epochs: int = 10
-    """The first epochs, which have restarts."""
-    restart_below: float = 0.02
-    """Share of the mean use below which a code is restarted."""
-    validation_paths: int = 1000
-    """At most."""
+    batches_per_epoch: int | None = None  # at most; None for all paths
+    spacing: float | None = None  # of waypoints along a path [rad]; None to take all
+    trivial_share: float = 0.15  # of paths whose straight line is free, at most
+    turn_base: bool = False  # turn whole paths about the base
+    entropy_weight: float = 0.1  # w: keeps Gaussians wide
+    restart_every: int = 200  # steps between restarts of codes that are hardly used (if `data_initialised`)
+    restart_epochs: int = 10  # the first epochs, which have restarts
+    restart_below: float = 0.02  # share of the mean use below which a code is restarted
+    validation_paths: int = 1000  # at most
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
 
     def __post_init__(self) -> None:
         require_sizes(batch=self.batch, row=self.row, batches_per_epoch=self.batches_per_epoch)
+
+
+class Stage1Loss(NamedTuple):
+    """Parts of the loss, scalars."""
+
+    total: Tensor  # what is minimised
+    reconstruction: Tensor  # negative log-likelihood and weighted negative entropy
+    quantization: Tensor
+
+
+def stage1_loss(
+    output: DictionaryOutput, u: Tensor, visible: Tensor, commitment: float, entropy_weight: float = 0.1
+) -> Stage1Loss:
+    """Loss of the module's docstring.
+
+    Parameters
+    ----------
+    output
+        Of `Dictionary` for the same waypoints.
+    u
+        (b, t, joint_dim): normalised joints.
+    visible
+        (b, t) bool: False where padded.
+    commitment, entropy_weight
+        beta and w.
+    """
+    nll = -torch.where(visible, output.gaussians.log_prob(u), 0.0).sum() / len(u)
+    negative_entropy = -torch.where(visible, output.gaussians.entropy(), 0.0).sum() / len(u)
+    reconstruction = nll + entropy_weight * negative_entropy
+    quantization = quantization_loss(output.quantized, visible, commitment)
+    return Stage1Loss(reconstruction + quantization, reconstruction, quantization)
+
+
+def quantization_loss(quantized: Quantized, visible: Tensor, commitment: float) -> Tensor:
+    """Sum beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2 on latents, mean over visible (b, t) waypoints."""
+    z, z_q = quantized.latent, quantized.quantized
+    per_waypoint = commitment * (z_q.detach() - z).square().sum(-1) + (z_q - z.detach()).square().sum(-1)
+    return per_waypoint[visible].mean()
+
+
+class LinkPositions:
+    """Configurations as the models take them: normalised joints, then link positions, if any."""
+
+    def __init__(
+        self,
+        lower: tuple[float, ...],
+        upper: tuple[float, ...],
+        chain: SerialChain | None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self._lower = torch.tensor(lower, dtype=torch.float32, device=device)
+        self._range = torch.tensor(upper, dtype=torch.float32, device=device) - self._lower
+        self._chain = chain
+        if chain is not None:
+            self._rotation = torch.tensor(chain.rotation, dtype=torch.float32, device=device)
+            self._translation = torch.tensor(chain.translation, dtype=torch.float32, device=device)
+            self._offsets = torch.tensor(chain.offsets, dtype=torch.float32, device=device)
+
+    def configurations(self, u: Tensor) -> Tensor:
+        """Configurations (..., n + 3 k) of normalised joints u (..., n); differentiable."""
+        if self._chain is None:
+            return u
+        return torch.cat((u, self.positions(self._lower + u * self._range)), dim=-1)
+
+    def positions(self, q: Tensor) -> Tensor:
+        """Positions (..., 3 k) [m, robot base frame] of joints q (..., n) [rad or m]."""
+        if self._chain is None:
+            raise InvalidInputError("link positions need the dataset's kinematics; it has none")
+        flat = q.reshape(-1, q.shape[-1])
+        cosine, sine = flat.cos(), flat.sin()
+        x, y, z = (self._rotation[0, :, axis].expand(len(flat), 3) for axis in range(3))
+        origin = self._translation[0].expand(len(flat), 3)
+        places: dict[int, Tensor] = {}
+        last = max(self._chain.points)
+        for joint in range(last + 1):
+            if joint:
+                step, shift = self._rotation[joint], self._translation[joint]
+                origin = origin + x * shift[0] + y * shift[1] + z * shift[2]
+                x, y, z = (x * step[0, i] + y * step[1, i] + z * step[2, i] for i in range(3))
+            if joint in self._chain.sliders:
+                origin = origin + z * flat[:, joint, None]
+            else:
+                c, s = cosine[:, joint, None], sine[:, joint, None]
+                x, y = x * c + y * s, y * c - x * s
+            for point in (k for k, frame in enumerate(self._chain.points) if frame == joint):
+                offset = self._offsets[point]
+                places[point] = origin + x * offset[0] + y * offset[1] + z * offset[2]
+        stacked = torch.cat([places[point] for point in range(len(places))], dim=-1)
+        return stacked.reshape(*q.shape[:-1], -1)
 
 
 class _Waypoints(Dataset):
@@ -115,14 +202,7 @@ class Stage1(Stage):
     """Training of a `Dictionary`."""
 
     module: _Trainee
-
-    name = "stage1"
     selection = "validation_reconstruction"
-    panels: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "loss per row": ("train_loss", "train_reconstruction"),
-        "validation, per waypoint": ("validation_reconstruction", "validation_nll"),
-        "codes in use": ("validation_codes_in_use",),
-    }
 
     def __init__(
         self,
@@ -164,26 +244,25 @@ class Stage1(Stage):
         kind = _Waypoints if self.config.dictionary.encoder == "mlp" else _Trajectories
         return kind(self, epoch, rows, rng)
 
-    def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Published loss of a batch, per row."""
+    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Loss of a batch, per row, and its parts."""
         u, visible = batch["u"], batch["visible"]
         output = self.module.dictionary(self._links.configurations(u))
-        loss = stage1_loss(
-            output, u, visible, self.config.dictionary.commitment, self.settings.entropy_weight
-        )
+        beta = self.config.dictionary.commitment
+        loss = stage1_loss(output, u, visible, beta, self.settings.entropy_weight)
         with torch.no_grad():
             used = output.quantized.codes[visible]
             self.module.uses += torch.bincount(used, minlength=len(self.module.uses))
             self._latents = output.quantized.latent[visible].detach()
         return {"loss": loss.total, "reconstruction": loss.reconstruction, "quantization": loss.quantization}
 
-    def after_step(self, progress: Progress, optimizer: torch.optim.Optimizer) -> None:
+    def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
         """Restart codes that are hardly used."""
         settings = self.settings
-        if not self.config.dictionary.data_initialised or progress.step % max(settings.restart_every, 1):
+        if not self.config.dictionary.data_initialised or step % max(settings.restart_every, 1):
             return
         uses = self.module.uses
-        if progress.epoch < settings.restart_epochs:
+        if epoch < settings.restart_epochs:
             dead = uses < settings.restart_below * uses.float().mean()
             self.module.dictionary.quantizer.restart_codes(dead, self._latents)
             state = optimizer.state.get(self.module.dictionary.quantizer.embedding.weight, {})
@@ -196,7 +275,7 @@ class Stage1(Stage):
         """Fit of held-out paths, per waypoint [nats], and how the dictionary is used."""
         rows = self.dataset.split("validation")[: self.settings.validation_paths]
         span = torch.tensor(self.dataset.robot.upper) - torch.tensor(self.dataset.robot.lower)
-        sums = dict.fromkeys(("nll", "negative_entropy", "std", "codes_per_path"), 0.0)
+        sums = dict.fromkeys(("nll", "negative_entropy", "std", "changes"), 0.0)
         used = torch.zeros(self.config.dictionary.n_codes, dtype=torch.int64)
         waypoints = 0
         for first in range(0, len(rows), 64):
@@ -209,19 +288,17 @@ class Stage1(Stage):
             sums["negative_entropy"] -= float(output.gaussians.entropy()[visible].double().sum())
             std = output.gaussians.covariance.diagonal(dim1=-2, dim2=-1).sqrt().cpu() * span
             sums["std"] += float(std[visible.cpu()].mean(-1).double().sum())
-            changes = (codes[:, 1:] != codes[:, :-1]) & visible[:, 1:]
-            sums["codes_per_path"] += float(changes.sum() + len(codes))
+            sums["changes"] += float(((codes[:, 1:] != codes[:, :-1]) & visible[:, 1:]).sum())
             used += torch.bincount(codes[visible].cpu(), minlength=len(used))
             waypoints += int(counts.sum())
-        result: dict[str, float | None] = {
-            "reconstruction": (sums["nll"] + self.settings.entropy_weight * sums["negative_entropy"])
-            / waypoints,
+        reconstruction = sums["nll"] + self.settings.entropy_weight * sums["negative_entropy"]
+        return {
+            "reconstruction": reconstruction / waypoints,
             "nll": sums["nll"] / waypoints,
             "mean_std_rad": sums["std"] / waypoints,
             "codes_in_use": int((used > 0).sum()),
-            "codes_per_path": sums["codes_per_path"] / len(rows),
+            "codes_per_path": (sums["changes"] + len(rows)) / len(rows),
         }
-        return result
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary as it stands."""

@@ -1,8 +1,16 @@
-"""Stage 2: learn to predict the codes of a path from cloud, start and goal, with the dictionary frozen."""
+"""Stage 2 of VQ-MPT: learn to predict the codes of a path from the scene's point cloud, start and goal.
+
+The codes h_1 ... h_n of a path, the dictionary of stage 1 being frozen, end with the goal class h_{n+1}. With the
+context M of cloud, start and goal, the loss is the cross entropy of the next code after every prefix,
+
+    -sum_{i=0}^{n} log p(h_{i+1} | M, h_1 ... h_i)                                mean over trajectories
+
+Every path is learned from both ways.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -10,13 +18,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.training.batches import SceneBatchSettings
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.losses import sequence_loss
-from cvqmpt_lab.training.measures import Measures
-from cvqmpt_lab.training.optimizer import OptimizerSettings
-from cvqmpt_lab.training.scene_batches import SceneBatchSettings
-from cvqmpt_lab.training.sequences import CodeSequences, code_sequences
-from cvqmpt_lab.training.stage import Batch, SceneStage
+from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, SceneStage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import ModelConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
@@ -29,49 +33,81 @@ class Stage2Settings:
 
     epochs: int = 20
     batches: SceneBatchSettings = field(default_factory=SceneBatchSettings)
-    precision: Literal["float32", "bf16"] = "float32"
-    """Of the model's matrix products; losses are always float32."""
+    precision: Literal["float32", "bf16"] = "float32"  # of the matrix products; losses are always float32
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
 
 
-@dataclass(frozen=True, eq=False)
-class _Examples:
+class CodeSequences(NamedTuple):
+    """Sequences (b, ...) without consecutive repeats, at most t codes of each."""
+
+    codes: Tensor  # (b, t) int64, padded with code 0
+    targets: (
+        Tensor  # (b, t + 1) int64: the next code after the start token and each code, at last the goal class
+    )
+    visible: Tensor  # (b, t + 1) bool: False where there is nothing to predict
+
+
+def code_sequences(codes: Tensor, counts: Tensor, most: int, goal_class: int) -> CodeSequences:
+    """Both directions of paths given by the codes of their waypoints.
+
+    Parameters
+    ----------
+    codes
+        (p, w) int64, padded.
+    counts
+        (p,) waypoints of each path.
+    most
+        Codes of a sequence; longer ones are cut and do not predict their end.
+
+    Returns
+    -------
+    2 p sequences: path 0 forwards, path 0 backwards, path 1 forwards, ...
+    """
+    p, w = codes.shape
+    real = torch.arange(w, device=codes.device) < counts[:, None]
+    begins = real.clone()
+    begins[:, 1:] &= codes[:, 1:] != codes[:, :-1]
+    run = (begins.cumsum(1) - 1).clamp(min=0)
+    lengths = begins.sum(1)
+    packed = codes.new_zeros(p, w + 1).scatter_(1, torch.where(real, run, w), codes)[:, :w]
+    place = torch.arange(w, device=codes.device)
+    backwards = packed.gather(1, (lengths[:, None] - 1 - place) % w)
+    both = torch.stack((packed, backwards), 1).flatten(0, 1)
+    lengths = lengths.repeat_interleave(2)
+    t = min(int(lengths.max()), most)
+    step = torch.arange(w + 1, device=codes.device)
+    targets = torch.cat((both, both[:, :1]), 1).masked_fill(step == lengths[:, None], goal_class)
+    visible = step <= lengths[:, None]
+    both = both.masked_fill(place >= lengths[:, None], 0)
+    return CodeSequences(both[:, :t], targets[:, : t + 1], visible[:, : t + 1])
+
+
+def sequence_loss(logits: Tensor, targets: Tensor, trajectories: int) -> Tensor:
+    """Loss of the module's docstring: logits (r, n_classes) after each prefix, targets (r,) int64."""
+    return F.cross_entropy(logits, targets, reduction="sum") / trajectories
+
+
+class _Examples(NamedTuple):
     """A batch of p paths, both ways, up to w waypoints each."""
 
-    start: Tensor
-    """(2 p, configuration_dim)."""
-    goal: Tensor
-    """(2 p, configuration_dim)."""
+    start: Tensor  # (2 p, configuration_dim)
+    goal: Tensor  # (2 p, configuration_dim)
     sequences: CodeSequences
-    weight: Tensor
-    """(2 p,) bool: False for paths that fill a scene up."""
+    weight: Tensor  # (2 p,) bool: False for paths that fill a scene up
 
 
-@dataclass(frozen=True, eq=False)
-class _Predictions:
+class _Predictions(NamedTuple):
     """What a model says about a batch."""
 
-    logits: Tensor
-    """(r, classes), of every code that counts."""
-    targets: Tensor
-    """(r,) int64."""
-    row: Tensor
-    """(r,) int64: the sequence that each prediction belongs to."""
+    logits: Tensor  # (r, classes), of every code that counts
+    targets: Tensor  # (r,) int64
+    row: Tensor  # (r,) int64: the sequence that each prediction belongs to
 
 
 class Stage2(SceneStage):
     """Training of a sequence model."""
 
-    name = "stage2"
     selection = "validation_cross_entropy"
-    panels: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "loss per path": ("train_loss",),
-        "validation cross entropy per code": (
-            "validation_cross_entropy",
-            "validation_wrong_cloud_cross_entropy",
-        ),
-    }
-
     module: PublishedSequenceModel
 
     def __init__(
@@ -90,12 +126,12 @@ class Stage2(SceneStage):
         InvalidInputError
             When the dictionary belongs to another robot or is of another kind, or the dataset lacks paths.
         """
-        super().__init__(dataset, settings, seed, device)
+        super().__init__(dataset, settings.batches, settings.optimizer, seed, device)
         self.config, self.settings = _combined(dataset, dictionary, config), settings
         self.dictionary: Dictionary = dictionary.dictionary.to(device).eval().requires_grad_(False)
         self.module = PublishedSequenceModel(self.config).to(device)
 
-    def losses(self, batch: Batch) -> dict[str, Tensor]:
+    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Cross entropy per path, and per code to be shown."""
         examples = self._examples(batch)
         predictions = self._predict(batch["cloud"], examples)
@@ -105,16 +141,16 @@ class Stage2(SceneStage):
 
     def validate(self) -> dict[str, float | None]:
         """Values on held-out scenes with their own cloud, and with the cloud of another scene."""
-        measures = {"": Measures(), "wrong_cloud_": Measures()}
+        means = {"": Means(), "wrong_cloud_": Means()}
         for held_out in self.held_out():
             examples = self._examples(held_out.batch)
             families = self.dataset.scenes.family[held_out.scene]
             for prefix, cloud in held_out.clouds.items():
-                self._measure(measures[prefix], cloud, examples, families)
-        own, wrong = (each.values() for each in measures.values())
+                self._measure(means[prefix], cloud, examples, families)
+        own, other = (each.values() for each in means.values())
         result: dict[str, float | None] = {}
         for name, value in own.items():
-            result |= {name: value, f"wrong_cloud_{name}": wrong.get(name)}
+            result |= {name: value, f"wrong_cloud_{name}": other.get(name)}
         return result
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
@@ -122,7 +158,7 @@ class Stage2(SceneStage):
         return Checkpoint(self.config, self.dataset.robot, self.dictionary, self.module, metadata)
 
     @torch.no_grad()
-    def _examples(self, batch: Batch) -> _Examples:
+    def _examples(self, batch: dict[str, Tensor]) -> _Examples:
         u, counts = batch["u"], batch["counts"]
         codes = self._codes(u, counts)
         sequences = code_sequences(
@@ -158,16 +194,16 @@ class Stage2(SceneStage):
             )
             return _Predictions(logits.float(), torch.cat(targets), torch.tensor(rows))
 
-    def _measure(self, measures: Measures, cloud: Tensor, examples: _Examples, families: np.ndarray) -> None:
+    def _measure(self, means: Means, cloud: Tensor, examples: _Examples, families: np.ndarray) -> None:
         """Take in what the model says with these clouds; families (s,) of the scenes."""
         predictions = self._predict(cloud, examples)
         entropy = F.cross_entropy(predictions.logits, predictions.targets, reduction="none").cpu().double()
-        measures.add("cross_entropy", float(entropy.sum()), len(entropy))
+        means.add("cross_entropy", float(entropy.sum()), len(entropy))
         rows_of_scene = len(examples.weight) // len(families)
         family = families[predictions.row.cpu().numpy() // rows_of_scene]
         for number in np.unique(family).tolist():
             chosen = entropy[torch.from_numpy(family == number)]
-            measures.add(f"cross_entropy_{self.dataset.families[number]}", float(chosen.sum()), len(chosen))
+            means.add(f"cross_entropy_{self.dataset.families[number]}", float(chosen.sum()), len(chosen))
 
 
 def _combined(dataset: PathDataset, dictionary: Checkpoint, config: ModelConfig) -> ModelConfig:

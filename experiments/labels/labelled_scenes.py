@@ -14,7 +14,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
-from cvqmpt_lab.training.shards import FULL_SCALE, Arrays
+from cvqmpt_lab.training.shards import FULL_SCALE
 
 SPACING = 0.13  # [rad] between stored waypoints
 NEAR_HAND = 0.25  # [m] of an obstacle: a task-like configuration
@@ -60,7 +60,7 @@ def labelled_scene(
     return LabelledScene(robot, scene, _labels(space, rng, pairs, settings, with_twins))
 
 
-def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
+def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> dict[str, np.ndarray]:
     """Arrays of a shard, from the family, the number and the labels of each scene."""
     draws = [draw for _, _, draw in scenes]
     labels = [label for draw in draws for label in draw.labels]
@@ -84,7 +84,7 @@ def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> Arrays:
     }
 
 
-def scene_shapes(scenes: Sequence[tuple[int, int, Scene]]) -> Arrays:
+def scene_shapes(scenes: Sequence[tuple[int, int, Scene]]) -> dict[str, np.ndarray]:
     """The scenes of a shard as arrays, from the family, the number and the shapes of each."""
     items = [item for _, _, scene in scenes for item in scene.obstacles]
     described = [SHAPES[type(item.shape)](item.shape) for item in items]

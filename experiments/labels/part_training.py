@@ -15,8 +15,7 @@ from cvqmpt_lab.planning.sight import Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.training.roadmap_shards import read_roadmap_shards
-from cvqmpt_lab.training.shards import DESCRIPTION_FILE
+from cvqmpt_lab.training.shards import DESCRIPTION_FILE, read_roadmap_shards
 from cvqmpt_lab.training.small_network import train_sight
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.weights import (

@@ -12,8 +12,14 @@ from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
-from cvqmpt_lab.training.roadmap_shards import ROADMAP_FILE, RoadmapGraph, RoadmapShard, read_roadmap_shards
-from cvqmpt_lab.training.shards import Shard
+from cvqmpt_lab.training.shards import (
+    ROADMAP_FILE,
+    IndexRow,
+    RoadmapGraph,
+    RoadmapShard,
+    packed_shard,
+    read_roadmap_shards,
+)
 from experiments.labels.roadmap_labels import roadmap_arrays, roadmap_graph, roadmap_labels
 from experiments.labels.training_data import SceneRecipe
 
@@ -33,7 +39,7 @@ class RoadmapRecipe(SceneRecipe):
             raise InvalidInputError(f"{out} holds labels of another dictionary; choose another --out")
         graph.write(out)
 
-    def shard(self, number: int) -> Shard:
+    def shard(self, number: int) -> tuple[IndexRow, bytes]:
         """Scenes with all their nodes and edges checked."""
         robot = robot_from_source(self.robot)
         graph, scenes = _graph(self.model, robot), []
@@ -41,7 +47,7 @@ class RoadmapRecipe(SceneRecipe):
             draw = roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
             if draw is not None:
                 scenes.append((family, scene_number, draw))
-        return Shard.of(number, roadmap_arrays(scenes))
+        return packed_shard(number, roadmap_arrays(scenes))
 
     def card(self, out: Path) -> str:
         """Counts, shares and lengths by family, of both splits."""
@@ -89,7 +95,7 @@ def _row(shards: list[RoadmapShard], name: str, families: list[int]) -> str:
         codes += int(np.diff(arrays["code_start"])[solved].sum())
         found.append(np.isfinite(arrays["cost"])[paths])
         differs.append(arrays["differs"][solved])
-        detour.append(arrays["cost"][solved] / shard.straight[solved])
+        detour.append(arrays["cost"][solved] / arrays["straight"][solved])
     if pairs == 0:
         return f"| {name} | {scenes} | {validate} | - | - | 0 | - | - | - | - |"
     solved_share, count = np.concatenate(found).mean(), max(int(np.concatenate(found).sum()), 1)

@@ -17,8 +17,7 @@ from cvqmpt_lab.planning.roadmap import Roadmap
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
-from cvqmpt_lab.training.shards import Arrays
+from cvqmpt_lab.training.shards import RoadmapGraph
 from experiments.labels.labelled_scenes import (
     CANDIDATES,
     near_obstacles,
@@ -173,7 +172,7 @@ def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, coun
     return Paths(cost[:, count + STARTS :], before, count + STARTS)
 
 
-def roadmap_arrays(scenes: Sequence[tuple[int, int, RoadmapLabels]]) -> Arrays:
+def roadmap_arrays(scenes: Sequence[tuple[int, int, RoadmapLabels]]) -> dict[str, np.ndarray]:
     """Arrays of a shard, from the family, the number and the labels of each scene."""
     draws = [draw for _, _, draw in scenes]
     codes = [path for draw in draws for path in draw.codes]

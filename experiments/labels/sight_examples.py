@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.planning.sight import Eyes
-from cvqmpt_lab.training.dataset import VALIDATION_EVERY
-from cvqmpt_lab.training.paths import Shapes
-from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
-from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, RoadmapShard
+from cvqmpt_lab.training.dataset import VALIDATION_EVERY, Shapes
+from cvqmpt_lab.training.shards import RoadmapGraph, RoadmapShard
+from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 
 NODES, EDGES = 256, 512  # drawn in each scene for training
 POINTS = 4096  # of a cloud

@@ -27,8 +27,9 @@ from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     SCHEMA,
     SHARDS_FOLDER,
-    Shard,
+    IndexRow,
     finished_shards,
+    packed_shard,
     write_shard,
 )
 from cvqmpt_lab.vqmpt.inputs import SerialChain
@@ -83,7 +84,7 @@ class SceneRecipe(ABC):
         """Write what shards have in common."""
 
     @abstractmethod
-    def shard(self, number: int) -> Shard:
+    def shard(self, number: int) -> tuple[IndexRow, bytes]:
         """One shard; it depends on the recipe and its number alone."""
 
     @abstractmethod
@@ -100,7 +101,7 @@ class Recipe(SceneRecipe):
     def prepare(self, out: Path) -> None:
         """Nothing."""
 
-    def shard(self, number: int) -> Shard:
+    def shard(self, number: int) -> tuple[IndexRow, bytes]:
         """Labelled scenes; some of each family have twins."""
         robot, scenes = robot_from_source(self.robot), []
         for index, family, scene_number, scene in self.scenes_of(number):
@@ -110,7 +111,7 @@ class Recipe(SceneRecipe):
                 robot, scene, self.paths_per_scene, self.labels, seed, with_twins=with_twins
             )
             scenes.append((family, scene_number, draw))
-        return Shard.of(number, shard_arrays(scenes))
+        return packed_shard(number, shard_arrays(scenes))
 
     def card(self, out: Path) -> str:
         """Counts and twin ratios."""
@@ -139,8 +140,9 @@ def generate(
             for k, shard in executor.results(recipe.shard, left):
                 if isinstance(shard, Lost):
                     raise CvqmptError(f"shard {k}: {shard.detail}; what was finished is kept")
-                done[shard.row.shard] = shard.row
-                write_shard(out, shard, done.values())
+                row, content = shard
+                done[row.shard] = row
+                write_shard(out, row, content, done.values())
                 on_progress(len(done), count)
         write_text(out / "README.md", recipe.card(out))
     return sum(row.paths for row in done.values())

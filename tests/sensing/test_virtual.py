@@ -26,8 +26,8 @@ from cvqmpt_lab.sensing.virtual import (
     visible_points,
     write_view,
 )
-from cvqmpt_lab.training.paths import Shapes
-from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
+from cvqmpt_lab.training.dataset import Shapes
+from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, sample_cloud
 from experiments.labels.labelled_scenes import SHAPES
 
 

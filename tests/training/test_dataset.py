@@ -9,8 +9,7 @@ import pytest
 from training_data import LOWER, UPPER, shard, write_dataset, write_shard
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.paths import with_few_trivial
+from cvqmpt_lab.training.dataset import open_dataset, with_few_trivial
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +100,7 @@ def test_damaged_and_missing_shards_are_named(tmp_path):
     path.write_bytes(whole[:-100] + bytes(100))
     with pytest.raises(InvalidInputError, match=r"000001.npz is damaged \(sha256\)"):
         open_dataset(folder)
-    with pytest.raises(InvalidInputError, match=r"000001.npz is not a readable shard"):
+    with pytest.raises(InvalidInputError, match=r"000001.npz is not a readable archive"):
         open_dataset(folder, verify=False)
     path.unlink()
     with pytest.raises(InvalidInputError, match=r"cannot read .*000001.npz"):
@@ -167,7 +166,7 @@ def test_a_pickle_in_a_shard_is_refused(tmp_path):
     folder = write_dataset(tmp_path / "d")
     arrays = shard(np.random.default_rng(5), (7,), 2)
     write_shard(folder, 2, {**arrays, "family": np.array([{"a": 1}], dtype=object)})
-    with pytest.raises(InvalidInputError, match=r"000002.npz is not a readable shard: .*pickle"):
+    with pytest.raises(InvalidInputError, match=r"000002.npz is not a readable archive.*: .*pickle"):
         open_dataset(folder)
 
 

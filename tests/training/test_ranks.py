@@ -14,12 +14,12 @@ import torch
 from training_data import write_dataset
 
 from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.mpnet import MPNetStage
-from cvqmpt_lab.training.optimizer import OptimizerSettings
-from cvqmpt_lab.training.point_clouds import CloudSettings
+from cvqmpt_lab.training.mpnet_stage import MPNetStage
 from cvqmpt_lab.training.profiles import PROFILES
-from cvqmpt_lab.training.scene_batches import batch_seed
+from cvqmpt_lab.training.stage_base import OptimizerSettings
+from cvqmpt_lab.training.training_clouds import CloudSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 SMOKE = PROFILES["smoke"]
@@ -78,7 +78,7 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path)
     batches, steps = stage.batches(0), 1
     assert len(batches) // 2 == steps
     torch.manual_seed(0)
-    optimizer = stage.optimizer.build(stage.module.parameters())
+    optimizer = stage.optimizer.build(stage.module)
     for number in range(2):
         seed = batch_seed(0, 0, number).spawn(1)[0]
         torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)

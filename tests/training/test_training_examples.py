@@ -15,14 +15,18 @@ from cvqmpt_lab.sensing.camera import KINECT, DepthCamera
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
-from cvqmpt_lab.training.augmentation import BaseTurn, turned
-from cvqmpt_lab.training.camera_clouds import measured_points
-from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.link_positions import LinkPositions
-from cvqmpt_lab.training.paths import Shapes
-from cvqmpt_lab.training.point_clouds import CloudSettings, CropSettings, sample_cloud
-from cvqmpt_lab.training.scene_batches import SceneBatches, SceneBatchSettings, grouped_by_scene, other_scenes
-from cvqmpt_lab.training.sequences import code_sequences
+from cvqmpt_lab.training.batches import (
+    BaseTurn,
+    SceneBatches,
+    SceneBatchSettings,
+    grouped_by_scene,
+    other_scenes,
+    turned,
+)
+from cvqmpt_lab.training.dataset import Shapes, open_dataset
+from cvqmpt_lab.training.stage1 import LinkPositions
+from cvqmpt_lab.training.stage2 import code_sequences
+from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, measured_points, sample_cloud
 from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
 from cvqmpt_lab.vqmpt.inputs import SerialChain
 from cvqmpt_lab.vqmpt.point_encoder import SetAbstraction, TokenLevel

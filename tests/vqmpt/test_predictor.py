@@ -11,7 +11,7 @@ from training_data import LOWER, UPPER, kinematics
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.training.link_positions import LinkPositions
+from cvqmpt_lab.training.stage1 import LinkPositions
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import Codebook, ModelConfigurations

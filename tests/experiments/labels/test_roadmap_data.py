@@ -8,8 +8,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.roadmap_shards import RoadmapGraph, read_roadmap_shards
-from cvqmpt_lab.training.shards import FULL_SCALE, finished_shards
+from cvqmpt_lab.training.shards import FULL_SCALE, RoadmapGraph, finished_shards, read_roadmap_shards
 from experiments.labels.roadmap_data import RoadmapRecipe
 from experiments.labels.training_data import generate
 

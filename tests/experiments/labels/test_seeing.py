@@ -13,7 +13,7 @@ from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
-from cvqmpt_lab.training.roadmap_shards import RoadmapGraph
+from cvqmpt_lab.training.shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_weights
 from experiments.bench.perception import area, calibration_error

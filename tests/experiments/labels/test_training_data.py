@@ -17,7 +17,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.link_positions import LinkPositions
+from cvqmpt_lab.training.stage1 import LinkPositions
 from experiments.labels import labelled_scenes, training_data
 from experiments.labels.dataset_card import dataset_card
 from experiments.labels.training_data import Recipe, generate

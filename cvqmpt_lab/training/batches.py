@@ -1,18 +1,19 @@
-"""Batches of scenes with equally many paths each: what stage 2 and MPNet train on."""
+"""Batches of scenes with equally many paths each, for stage 2 and MPNet; turns of robot and scene about the base."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.training.augmentation import BaseTurn, turned
-from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.paths import with_few_trivial
-from cvqmpt_lab.training.point_clouds import CloudSettings, sample_cloud
+from cvqmpt_lab.training.dataset import PathDataset, with_few_trivial
+from cvqmpt_lab.training.shards import FULL_SCALE
+from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.vqmpt.config import require_sizes
 
-_SIDE_NOISE = 0.4
-"""Of twice the middle of a path's first joint, normalised, by which paths of a scene are grouped."""
+SIDE_NOISE = (
+    0.4  # of twice the middle of a path's first joint, normalised, by which paths of a scene are grouped
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,31 +21,61 @@ class SceneBatchSettings:
     """What a batch is made of."""
 
     scenes: int = 16
-    paths_per_scene: int = 4
-    """A scene with fewer paths repeats one with weight 0."""
-    batches_per_epoch: int | None = None
-    """At most; None for all paths."""
-    spacing: float | None = None
-    """Of waypoints along a path [rad]; None to take all."""
-    trivial_share: float = 0.15
-    """Of paths whose straight line is free, at most."""
-    turn_base: bool = False
-    """Turn scene and paths alike about the base."""
+    paths_per_scene: int = 4  # a scene with fewer paths repeats one with weight 0
+    batches_per_epoch: int | None = None  # at most; None for all paths
+    spacing: float | None = None  # of waypoints along a path [rad]; None to take all
+    trivial_share: float = 0.15  # of paths whose straight line is free, at most
+    turn_base: bool = False  # turn scene and paths alike about the base
     cloud: CloudSettings = field(default_factory=CloudSettings)
-    validation_paths: int = 512
-    """At most."""
+    validation_paths: int = 512  # at most
 
     def __post_init__(self) -> None:
-        require_sizes(
-            scenes=self.scenes,
-            paths_per_scene=self.paths_per_scene,
-            batches_per_epoch=self.batches_per_epoch,
-        )
+        names = ("scenes", "paths_per_scene", "batches_per_epoch")
+        require_sizes(**{name: getattr(self, name) for name in names})
 
 
 def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
     """The only source of randomness of a batch."""
     return np.random.SeedSequence((seed, epoch, batch))
+
+
+class BaseTurn:
+    """Turns of the robot about its base, together with the scene, that keep paths within the first joint's limits.
+
+    All turns are 0 unless `active`: asked for, and the first joint turns about the base's z axis.
+    """
+
+    def __init__(self, dataset: PathDataset, wanted: bool) -> None:
+        self.active = wanted and dataset.chain is not None and dataset.chain.turns_about_base
+        self._range = np.float64(dataset.robot.upper[0] - dataset.robot.lower[0])
+        first, starts = dataset.paths.waypoints[:, 0], dataset.paths.start[:-1]
+        ends = [f.reduceat(first, starts) if len(starts) else np.empty(0) for f in (np.minimum, np.maximum)]
+        self.least, self.most = (end / FULL_SCALE for end in ends)  # (p,) of the first joint along each path
+
+    def draw(self, paths: np.ndarray, rng: np.random.Generator) -> float:
+        """One angle [rad] for all of these paths together."""
+        place = rng.random(2)[0]  # two draws, as in the trainings of the shipped weights
+        least, most = self.least[paths].min(), self.most[paths].max()
+        return float((-least + place * (1.0 - most + least)) * self._range) if self.active else 0.0
+
+    def draw_each(self, paths: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Shifts of the normalised first joint (b,), one for each of these paths."""
+        place = rng.random(len(paths))
+        shift = -self.least[paths] + place * (1.0 - self.most[paths] + self.least[paths])
+        return shift if self.active else np.zeros(len(paths))
+
+    def joints(self, u: np.ndarray, angle: float) -> np.ndarray:
+        """Turn normalised joints u (..., n) by an angle [rad]."""
+        u = np.array(u, dtype=np.float32)
+        u[..., 0] += np.float32(angle / self._range)
+        return u
+
+
+def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
+    """A cloud (k, 3) turned with its scene by an angle [rad] about z."""
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)), dtype=np.float32)  # transposed
+    return cloud @ turn
 
 
 def grouped_by_scene(
@@ -62,12 +93,17 @@ def grouped_by_scene(
     scenes = dataset.paths.scene[rows]
     order = np.argsort(scenes, kind="stable") if key is None else np.lexsort((key[rows], scenes))
     rows, scenes = rows[order], scenes[order]
-    begins = np.flatnonzero(np.concatenate(([True], scenes[1:] != scenes[:-1])))
-    inside = np.arange(len(rows)) - begins.repeat(np.diff(np.append(begins, len(rows))))
+    inside = _place_in_run(scenes)
     group = np.cumsum(inside % size == 0) - 1
     groups = np.full((group[-1] + 1, size), -1, dtype=np.int64)
     groups[group, inside % size] = rows
     return rng.permutation(groups)
+
+
+def _place_in_run(values: np.ndarray) -> np.ndarray:
+    """How many equal values stand directly before each."""
+    begins = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1])))
+    return np.arange(len(values)) - begins.repeat(np.diff(np.append(begins, len(values))))
 
 
 class SceneBatches(Dataset):
@@ -88,25 +124,19 @@ class SceneBatches(Dataset):
 
         seed: of the training, and the epoch.
         """
-        self._dataset, self._settings, self._turn = dataset, settings, turn
-        self._groups, self._seed = groups, seed
+        self._dataset, self._turn, self._groups, self._seed = dataset, turn, groups, seed
         self._cloud = settings.cloud if turn is not None else settings.cloud.without_augmentation()
 
     @classmethod
     def of_epoch(
-        cls,
-        dataset: PathDataset,
-        settings: SceneBatchSettings,
-        turn: BaseTurn,
-        seed: int,
-        epoch: int,
+        cls, dataset: PathDataset, settings: SceneBatchSettings, turn: BaseTurn, seed: int, epoch: int
     ) -> "SceneBatches":
         """Every training path once, in an order of its own for each epoch."""
         rng = np.random.default_rng((seed, epoch))
         rows = with_few_trivial(dataset.paths, dataset.split("train"), settings.trivial_share, rng)
         key = None
         if turn.active:  # paths on the same side of the robot can be turned further together
-            key = turn.least + turn.most + rng.uniform(0.0, _SIDE_NOISE, len(dataset.paths))
+            key = turn.least + turn.most + rng.uniform(0.0, SIDE_NOISE, len(dataset.paths))
         groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng, key)
         count = max(1, len(groups) // settings.scenes)
         groups = groups[: max(count * settings.scenes, 1)]
@@ -119,10 +149,13 @@ class SceneBatches(Dataset):
         rng = np.random.default_rng(seed)
         rows = with_few_trivial(dataset.paths, dataset.split("validation"), settings.trivial_share, rng)
         groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng)
-        order = np.argsort(_rank_in_scene(dataset.paths.scene[groups[:, 0]]), kind="stable")
+        scene = dataset.paths.scene[groups[:, 0]]
+        by_scene, rank = np.argsort(scene, kind="stable"), np.empty(len(scene), dtype=np.int64)
+        rank[by_scene] = _place_in_run(scene[by_scene])
+        order = np.argsort(rank, kind="stable")
         groups = groups[order][: max(2, settings.validation_paths // settings.paths_per_scene)]
         family = dataset.scenes.family[dataset.paths.scene[groups[:, 0]]]
-        groups = groups[np.argsort(family, kind="stable")]  # a wrong cloud is mostly of the same family
+        groups = groups[np.argsort(family, kind="stable")]  # the other scene is mostly of the same family
         count = max(1, len(groups) // settings.scenes)
         return cls(dataset, settings, None, np.array_split(groups, count), (seed, 0))
 
@@ -156,12 +189,3 @@ def other_scenes(scene: np.ndarray) -> np.ndarray | None:
     count = len(scene)
     cycle = (np.arange(count)[:, None] + np.arange(count)) % count
     return cycle[np.arange(count), (scene[cycle] != scene[:, None]).argmax(1)]
-
-
-def _rank_in_scene(scenes: np.ndarray) -> np.ndarray:
-    """How many earlier entries have the same scene."""
-    order = np.argsort(scenes, kind="stable")
-    begins = np.flatnonzero(np.concatenate(([True], scenes[order][1:] != scenes[order][:-1])))
-    rank = np.empty(len(scenes), dtype=np.int64)
-    rank[order] = np.arange(len(scenes)) - begins.repeat(np.diff(np.append(begins, len(scenes))))
-    return rank

@@ -1,18 +1,29 @@
-"""Point clouds of scenes given by their shapes: every epoch sees new ones."""
+"""Point clouds of scenes given by their shapes, new ones in every epoch: points drawn on surfaces, or depth images.
+
+Depth images are rendered by the cameras that evaluation uses, with their errors.
+"""
 
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.training.camera_clouds import measured_points
-from cvqmpt_lab.training.paths import Shapes
+from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
+from cvqmpt_lab.sensing.render import Ball, Cuboid, Drum, Solid, view_of
+from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.vqmpt.config import require_sizes
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
-_ROUNDS = 6
-_MARGIN = 1e-4
-"""Points this close to another shape's surface still lie outside it [m]."""
+SOLIDS = (  # by the kind of a shape
+    lambda T, size: Cuboid(T, 0.5 * size),
+    lambda T, size: Drum(T, size[0], 0.5 * size[2]),
+    lambda T, size: Ball(T, size[0]),
+)
+# The evaluation camera's range with a sixteenth of its pixels, which still are more than a cloud's points.
+SMALL = Lens(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
+ROUNDS = 6  # of drawing points, at most
+MARGIN = 1e-4  # [m] points this close to another shape's surface still lie outside it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,14 +31,10 @@ class CropSettings:
     """What of a scene is seen."""
 
     kind: Literal["ball", "box"] = "ball"
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)
-    """Of the ball [m]."""
-    radius: float = 1.2
-    """Of the ball [m]."""
-    lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)
-    """Of the box [m]; the published crop."""
-    upper: tuple[float, float, float] = (0.88, 0.88, 1.2)
-    """Of the box [m]; the published crop."""
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)  # of the ball [m]
+    radius: float = 1.2  # of the ball [m]
+    lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)  # of the published box [m]
+    upper: tuple[float, float, float] = (0.88, 0.88, 1.2)  # of the published box [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,16 +43,11 @@ class CloudSettings:
 
     points: int = 1024
     crop: CropSettings = field(default_factory=CropSettings)
-    noise: float = 0.003
-    """Standard deviation of every coordinate [m]."""
-    occlusion: float = 0.5
-    """Probability that only surfaces facing one of the cameras are seen."""
-    cameras: int = 4
-    """Random ones, at most."""
-    density: float = 0.3
-    """Standard deviation of the logarithm of each shape's density of points."""
-    measured: float = 0.0
-    """Probability that depth cameras measure the scene, with their errors and without `noise`, as in evaluation."""
+    noise: float = 0.003  # standard deviation of every coordinate [m]
+    occlusion: float = 0.5  # probability that only surfaces facing one of the cameras are seen
+    cameras: int = 4  # random ones, at most
+    density: float = 0.3  # standard deviation of the logarithm of each shape's density of points
+    measured: float = 0.0  # probability of depth images with the cameras' errors, without `noise`
 
     def __post_init__(self) -> None:
         require_sizes(points=self.points, cameras=self.cameras)
@@ -81,10 +83,10 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
     if len(shapes):
         weights = _areas(shapes) * np.exp(settings.density * rng.standard_normal(len(shapes)))
         hides = rng.random() < settings.occlusion
-        eyes = _eyes(settings, rng)
+        eyes = _camera_positions(settings, rng)
         cameras = eyes if hides else None
         chance = 0.7 if cameras is None else 0.5
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
             seen = _visible_points(shapes, weights, cameras, settings.crop, draw, rng)
             found.append(seen[:missing])
@@ -98,8 +100,24 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
 def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
     """Points (k, 3) that depth cameras measure, no more than are wanted."""
     centre = np.array(settings.crop.centre)
-    points = measured_points(shapes, _eyes(settings, rng), centre, rng)
+    points = measured_points(shapes, _camera_positions(settings, rng), centre, rng)
     return points[_inside_crop(points, settings.crop)][: settings.points]
+
+
+def measured_points(
+    shapes: Shapes, eyes: np.ndarray, target: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Points (k, 3) float32 [m] that cameras at eyes (c, 3), looking at target (3,), measure, in random order."""
+    described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
+    solids: list[Solid] = [SOLIDS[kind](T, size) for kind, size, T in described]
+    materials = MaterialShares().drawn(len(solids), rng)
+    seen = []
+    for eye in eyes:
+        x, y, z = map(float, eye)
+        view = view_of(solids, DepthCamera((x, y, z), tuple(target)), SMALL)
+        seen.append(measured(view, solids, materials, DepthNoise(), rng).points)
+    points = np.concatenate(seen)
+    return points[rng.permutation(len(points))].astype(np.float32)
 
 
 def _lowest(crop: CropSettings) -> np.ndarray:
@@ -120,7 +138,7 @@ def _areas(shapes: Shapes) -> np.ndarray:
     return np.where(kind == BOX, box, np.where(kind == CYLINDER, cylinder, sphere))
 
 
-def _eyes(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
+def _camera_positions(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
     """Where one or more cameras stand (c, 3): 2 m from the crop's centre, above its floor plane [m]."""
     directions = rng.standard_normal((int(rng.integers(1, settings.cameras + 1)), 3))
     directions[:, 2] = np.abs(directions[:, 2])
@@ -222,14 +240,14 @@ def _inside_others(points: np.ndarray, own: np.ndarray, shapes: Shapes) -> np.nd
         inverse = np.ascontiguousarray(rotation[rows].transpose(0, 2, 1)).reshape(-1, 3)
         local = (inverse @ axes).reshape(len(rows), 3, -1)
         local -= origin[rows, :, None]
-        half = 0.5 * size[rows, :, None] - np.float32(_MARGIN)
+        half = 0.5 * size[rows, :, None] - np.float32(MARGIN)
         if place == BOX:
             np.abs(local, out=local)
             within = local < half
             inside[rows] = within[:, 0] & within[:, 1] & within[:, 2]
             continue
         np.multiply(local[:, :2], local[:, :2], out=local[:, :2])
-        radius = np.maximum(size[rows, :1] - np.float32(_MARGIN), 0.0) ** 2
+        radius = np.maximum(size[rows, :1] - np.float32(MARGIN), 0.0) ** 2
         squares = local[:, 0] + local[:, 1]
         if place == SPHERE:
             squares += local[:, 2] * local[:, 2]

@@ -2,15 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from cvqmpt_lab.training.batches import SceneBatchSettings
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.optimizer import OptimizerSettings
-from cvqmpt_lab.training.scene_batches import SceneBatchSettings
-from cvqmpt_lab.training.stage import Batch, SceneStage
+from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, SceneStage
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet_network import MPNet
@@ -28,15 +27,7 @@ class MPNetSettings:
 class MPNetStage(SceneStage):
     """Training of an `MPNet`."""
 
-    name = "mpnet"
     selection = "validation_squared_error"
-    panels: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "squared error of the next waypoint": (
-            "train_loss",
-            "validation_squared_error",
-            "validation_wrong_cloud_squared_error",
-        ),
-    }
 
     def __init__(
         self,
@@ -47,27 +38,27 @@ class MPNetStage(SceneStage):
         device: torch.device,
     ) -> None:
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
-        super().__init__(dataset, settings, seed, device)
+        super().__init__(dataset, settings.batches, settings.optimizer, seed, device)
         self.module = self.network = MPNet(config).to(device)
 
-    def losses(self, batch: Batch) -> dict[str, Tensor]:
+    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Mean squared error over joints of all steps of all paths, both ways."""
         return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
 
     def validate(self) -> dict[str, float | None]:
         """Error on held-out scenes with their own cloud, and with the cloud of another scene; no dropout."""
-        found: dict[str, list[float]] = {"squared_error": [], "wrong_cloud_squared_error": []}
+        means = Means()
         for held_out in self.held_out():
             for prefix, cloud in held_out.clouds.items():
                 error = self._squared_error(held_out.batch, cloud, stochastic=False)
-                found[f"{prefix}squared_error"].append(float(error))
-        return {name: sum(values) / len(values) if values else None for name, values in found.items()}
+                means.add(f"{prefix}squared_error", float(error), 1)
+        return {name: means.values().get(name) for name in ("squared_error", "wrong_cloud_squared_error")}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> MPNetCheckpoint:
         """The network as it stands."""
         return MPNetCheckpoint(self.dataset.robot, self.network, metadata)
 
-    def _squared_error(self, batch: Batch, cloud: Tensor, *, stochastic: bool) -> Tensor:
+    def _squared_error(self, batch: dict[str, Tensor], cloud: Tensor, *, stochastic: bool) -> Tensor:
         states, counts = 2.0 * batch["u"] - 1.0, batch["counts"]
         codes = self.network.encode(cloud).repeat_interleave(len(states) // len(cloud), 0)
         step = torch.arange(states.shape[1] - 1, device=states.device)

@@ -1,0 +1,166 @@
+"""What a training trains: a module with its optimizer, batches, losses and validation; `trainer` runs it."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.utils.data import Dataset
+
+from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, other_scenes
+from cvqmpt_lab.training.dataset import PathDataset
+from cvqmpt_lab.vqmpt.checkpoint import Trained
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizerSettings:
+    """Adam or Adagrad, with a rate that is warmed up and lowered."""
+
+    kind: Literal["adam", "adagrad"] = "adam"
+    rate: float  # at the peak
+    warmup: int = 200  # steps until there
+    # After it: by the inverse square root of steps (published), a cosine to `final`, or constant.
+    schedule: Literal["inverse-sqrt", "cosine", "constant"] = "inverse-sqrt"
+    final: float = 0.02  # share of the peak at the last epoch of a cosine
+    betas: tuple[float, float] = (0.9, 0.98)
+    epsilon: float = 1e-9
+    weight_decay: float = 0.0
+    clip: float | None = None  # longest gradient; None to leave it
+
+    def build(self, module: nn.Module) -> torch.optim.Optimizer:
+        """The optimizer of a module's parameters."""
+        if self.kind == "adagrad":
+            return torch.optim.Adagrad(module.parameters(), lr=self.rate)
+        return torch.optim.AdamW(
+            module.parameters(),
+            lr=self.rate,
+            betas=self.betas,
+            eps=self.epsilon,
+            weight_decay=self.weight_decay,
+        )
+
+    def rate_at(self, step: int, total: int) -> float:
+        """Rate of step 1, 2, ... of `total`."""
+        warmup = max(self.warmup, 1)
+        if step <= warmup or self.schedule == "constant":
+            return self.rate * min(1.0, step / warmup)
+        if self.schedule == "inverse-sqrt":
+            return self.rate * math.sqrt(warmup / step)
+        done = min(1.0, (step - warmup) / max(total - warmup, 1))
+        return self.rate * (self.final + (1.0 - self.final) * 0.5 * (1.0 + math.cos(math.pi * done)))
+
+
+class Stage(ABC):
+    """One of the trainings."""
+
+    selection: ClassVar[str]  # the column of the curves whose least value is the best model
+    many_processes: ClassVar[bool] = (
+        False  # steps depend on gradients alone, so that processes may share them
+    )
+    module: nn.Module  # what the optimizer changes and the state keeps
+
+    def __init__(
+        self,
+        dataset: PathDataset,
+        spacing: float | None,
+        turn_base: bool,
+        optimizer: OptimizerSettings,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        """Prepare to train on a dataset, its waypoints `spacing` [rad] apart.
+
+        Raises
+        ------
+        InvalidInputError
+            When there is nothing to train on or validate with.
+        """
+        dataset.require_splits()
+        self.dataset = dataset.thinned(spacing)
+        self.turn = BaseTurn(self.dataset, turn_base)
+        self.optimizer, self.seed, self.device = optimizer, seed, device
+        torch.manual_seed(seed)
+
+    def prepare(self) -> None:  # noqa: B027 (most stages have nothing to prepare)
+        """Once, before the first step of a training."""
+
+    @abstractmethod
+    def batches(self, epoch: int) -> Dataset:
+        """Batches of an epoch: dictionaries of arrays, each a function of seed, epoch and its number."""
+
+    @abstractmethod
+    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Scalars of a batch; ``loss`` is minimised."""
+
+    def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:  # noqa: B027
+        """What else changes with a step."""
+
+    @abstractmethod
+    def validate(self) -> dict[str, float | None]:
+        """Values of the held-out paths, in evaluation mode."""
+
+    @abstractmethod
+    def checkpoint(self, metadata: Mapping[str, Any]) -> Trained:
+        """The model as it stands, to be saved."""
+
+
+class HeldOut(NamedTuple):
+    """A batch of held-out paths."""
+
+    batch: dict[str, Tensor]
+    scene: np.ndarray  # (s,) row of each scene
+    clouds: dict[
+        str, Tensor
+    ]  # (s, points, 3) of each scene and of another one, by the prefix of measured values
+
+
+class SceneStage(Stage):
+    """A training on paths with the clouds of their scenes."""
+
+    many_processes = True
+
+    def __init__(
+        self,
+        dataset: PathDataset,
+        batches: SceneBatchSettings,
+        optimizer: OptimizerSettings,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        super().__init__(dataset, batches.spacing, batches.turn_base, optimizer, seed, device)
+        self._settings = batches
+        self._validation = SceneBatches.for_validation(self.dataset, batches, seed)
+
+    def batches(self, epoch: int) -> SceneBatches:
+        """Batches of an epoch."""
+        return SceneBatches.of_epoch(self.dataset, self._settings, self.turn, self.seed, epoch)
+
+    def held_out(self) -> Iterator[HeldOut]:
+        """Held-out scenes, with their own cloud and, where there is one, with that of another scene."""
+        for index in range(len(self._validation)):
+            arrays = self._validation[index]
+            batch = {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
+            clouds, others = {"": batch["cloud"]}, other_scenes(arrays["scene"])
+            if others is not None:
+                clouds["wrong_cloud_"] = batch["cloud"][others]
+            yield HeldOut(batch, arrays["scene"], clouds)
+
+
+class Means:
+    """Means of named values over several batches."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[float, float]] = {}
+
+    def add(self, name: str, total: float, count: float) -> None:
+        """Take in a sum over `count` values."""
+        earlier = self._sums.get(name, (0.0, 0.0))
+        self._sums[name] = earlier[0] + total, earlier[1] + count
+
+    def values(self) -> dict[str, float | None]:
+        """Each mean; None where nothing tells it."""
+        return {name: total / count if count else None for name, (total, count) in self._sums.items()}

@@ -1,0 +1,349 @@
+"""The loop that trains any stage, resumable after any batch and repeatable by seed: what `cvqmpt train` calls.
+
+A training's folder, each file of which is replaced whole or not at all::
+
+    training.json   what the training is; must be equal to continue
+    state.pt        weights, optimizer, where it stands
+    curves.csv      a line per epoch
+    model/          checkpoint of the epoch with the best validation
+
+Whatever is random in a batch is drawn from its seed, epoch and number alone, so that a training that was stopped and
+continued takes the same steps as one that was not. Under `torchrun` k processes, on one machine or several, take every
+k-th batch each, and DistributedDataParallel averages their gradients; the first one writes and reports.
+"""
+
+import csv
+import io
+import json
+import math
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+from torch.utils.data import DataLoader
+
+from cvqmpt_lab.codec.plain import differences, to_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import (
+    locked,
+    make_folder,
+    read_bytes,
+    read_json_object,
+    require_regular_file,
+    write_bytes,
+    write_text,
+)
+from cvqmpt_lab.training.batches import batch_seed
+from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.profiles import MODELS, Profile
+from cvqmpt_lab.training.stage_base import Stage
+from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
+from cvqmpt_lab.vqmpt.weights import TRAINED_FOLDER, checkpoint_folder, recover_weights, weights_digest
+
+SAVE_EVERY_S = 300.0
+Report = Callable[[int, int, str], None]  # called with the batches done, those of all epochs, and a note
+
+
+@dataclass
+class Progress:
+    """Where a training stands."""
+
+    epoch: int = 0  # the next to run
+    batch: int = 0  # the next to run
+    step: int = 0  # optimizer steps so far
+    seconds: float = 0.0
+    sums: dict[str, float] = field(default_factory=dict)  # of the losses in the unfinished epoch
+    rows: list[dict[str, float | None]] = field(default_factory=list)  # of the curves so far
+    best: float | None = None  # the least selecting value so far
+    finished: bool = False  # all epochs are done; otherwise it ran out of minutes
+
+
+def run_training(
+    stage: str,
+    profile: Profile,
+    data: Path,  # folder of the dataset
+    out: Path,  # folder of the training
+    *,
+    dictionary: Path | None = None,  # folder of a stage-1 training or checkpoint, for stage2
+    seed: int = 0,
+    epochs: int | None = None,  # in all, instead of the profile's
+    minutes: float | None = None,  # when to stop, from now
+    workers: int = 0,  # processes that prepare batches
+    device: str = "auto",  # cpu, cuda, or auto for whichever is there
+    verify: bool = True,  # compare shards with their checksums
+    metadata: Mapping[str, Any],  # kept with the model
+    report: Report = lambda done, total, note: None,
+) -> Progress:
+    """Begin or continue a training; the best model is in ``out/model``.
+
+    Raises
+    ------
+    InvalidInputError, UnknownChoiceError
+        Before anything is written when data, dictionary or folder cannot be used, another training uses the folder, or
+        `torchrun` starts several processes for stage1; later when the loss is not finite or the disk refuses.
+    KeyboardInterrupt
+        After Ctrl-C (or SIGTERM), once saved.
+    """
+    rank, count = joined_processes()
+    dataset = open_dataset(data, verify=verify)
+    made = profile.stage(stage, dataset, dictionary, seed, _device(device))
+    if count > 1 and not made.many_processes:
+        raise InvalidInputError(f"{stage} is trained by one process, not {count}; leave torchrun out")
+    plain = to_plain(profile, complete=True)
+    epochs = plain[stage].pop("epochs") if epochs is None else epochs
+    plain[stage].pop("epochs", None)
+    shown = ("name", "link_features", MODELS[stage], stage)
+    settings: dict[str, Any] = {"stage": stage, "profile": {name: plain[name] for name in shown}}
+    settings |= {"data_sha256": dataset.sha256, "seed": seed}
+    if count > 1:
+        settings["processes"] = count
+    if dictionary is not None:
+        settings["dictionary_sha256"] = weights_digest(checkpoint_folder(dictionary) or dictionary)
+    paths = {f"{name}_paths": len(dataset.split(name)) for name in ("train", "validation")}
+    chain = None if dataset.chain is None else to_plain(dataset.chain)
+    trainer = Trainer(made, out, epochs, workers, {**settings, "kinematics": chain, **paths, **metadata})
+    if rank > 0:
+        dist.barrier()  # until the first has made the folder
+        open_folder(out, settings)
+        return trainer.train(minutes)
+    make_folder(out)
+    with locked(out):
+        open_folder(out, settings)
+        recover_weights(out / TRAINED_FOLDER)
+        if count > 1:
+            dist.barrier()
+        return trainer.train(minutes, report)
+
+
+def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
+    """Begin in an empty folder, or continue what has equal settings.
+
+    Raises
+    ------
+    InvalidInputError
+        When the folder holds something else, or a training with other settings (naming the first).
+    """
+    path, settings = folder / "training.json", json.loads(json.dumps(settings))
+    if path.is_file():
+        found = differences(read_json_object(require_regular_file(path)), settings)
+        if found:
+            raise InvalidInputError(
+                f"{folder} holds another training ({min(found, key=len)}); use the same or choose another --out"
+            )
+    elif any(make_folder(folder).iterdir()):
+        raise InvalidInputError(
+            f"{folder} is not empty and holds no training to continue; choose another --out"
+        )
+    else:
+        write_text(path, json.dumps(settings, indent=2) + "\n")
+
+
+class Trainer:
+    """A stage that is trained in a folder for some epochs."""
+
+    def __init__(
+        self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]
+    ) -> None:
+        self.stage, self.folder, self.epochs, self.workers = stage, folder, epochs, workers
+        self.metadata, (self.rank, self.processes) = metadata, joined_processes()
+        self.progress, self.optimizer = Progress(), stage.optimizer.build(stage.module)
+
+    def train(self, minutes: float | None, report: Report = lambda done, total, note: None) -> Progress:
+        """Train until the epochs are done, the minutes are over, or Ctrl-C; the state is saved in every case."""
+        if (self.folder / "state.pt").is_file():
+            self._load()
+        else:
+            torch.manual_seed(self.stage.seed)
+            self.stage.prepare()
+        self._losses: nn.Module = _Losses(self.stage)
+        if self.processes > 1:
+            self._losses = DistributedDataParallel(self._losses, find_unused_parameters=True)
+        began = saved = time.perf_counter()
+        progress, before = self.progress, self.progress.seconds
+        end, over = began + 60.0 * (math.inf if minutes is None else minutes), False
+        with _interrupts() as received:
+            while progress.epoch < self.epochs and not over:
+                for total, loss in self._epoch():
+                    now = time.perf_counter()
+                    progress.seconds = before + now - began
+                    done = progress.epoch * total + progress.batch
+                    report(done, self.epochs * total, f"epoch {progress.epoch + 1}, loss {loss:.4f}")
+                    stop, over = self._anywhere(bool(received), now >= end)
+                    within = over and progress.batch < total
+                    if stop or within or now >= saved + SAVE_EVERY_S:
+                        self._save()
+                        saved = now
+                    if stop:
+                        raise KeyboardInterrupt
+                    if within:
+                        self._keep_if_best(self._validate(), progress.epoch)
+                        break
+                else:
+                    self._end_epoch()
+        progress.finished = progress.epoch >= self.epochs
+        return progress
+
+    def _epoch(self) -> Iterator[tuple[int, float]]:
+        """Take the steps that are left of an epoch; how many it has, and the loss of each."""
+        stage, progress, k = self.stage, self.progress, self.processes
+        batches = stage.batches(progress.epoch)
+        total = len(batches) // k  # type: ignore[arg-type]
+        if not total:
+            raise InvalidInputError(f"an epoch has fewer batches than the {k} processes; start fewer")
+        mine = range(progress.batch * k + self.rank, total * k, k)
+        loader = DataLoader(
+            batches, batch_size=None, sampler=mine, num_workers=self.workers, worker_init_fn=_ignore_interrupt
+        )
+        stage.module.train()
+        for number, batch in zip(mine, loader, strict=True):
+            seed = batch_seed(stage.seed, progress.epoch, number).spawn(1)[0]
+            torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
+            rate = stage.optimizer.rate_at(progress.step + 1, self.epochs * total)
+            losses = self._step({name: part.to(stage.device) for name, part in batch.items()}, rate)
+            progress.step += 1
+            progress.batch += 1
+            stage.after_step(progress.epoch, progress.step, self.optimizer)
+            for name, value in losses.items():
+                progress.sums[name] = progress.sums.get(name, 0.0) + value
+            yield total, losses["loss"]
+
+    def _step(self, batch: dict[str, Tensor], rate: float) -> dict[str, float]:
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.zero_grad(set_to_none=True)
+        losses = self._losses(batch)
+        if not torch.isfinite(losses["loss"]):
+            raise InvalidInputError(
+                f"loss is {float(losses['loss'].detach())} in epoch {self.progress.epoch + 1}, "
+                f"batch {self.progress.batch + 1}; lower optimizer.rate and begin in another --out"
+            )
+        losses["loss"].backward()
+        if self.stage.optimizer.clip is not None:
+            nn.utils.clip_grad_norm_(self.stage.module.parameters(), self.stage.optimizer.clip)
+        self.optimizer.step()
+        return {name: float(value.detach()) for name, value in losses.items()}
+
+    def _anywhere(self, *flags: bool) -> list[bool]:
+        """Which flags any of the processes has set."""
+        found = torch.tensor(flags, dtype=torch.uint8)
+        if self.processes > 1:
+            dist.all_reduce(found, dist.ReduceOp.MAX)
+        return found.bool().tolist()
+
+    def _end_epoch(self) -> None:
+        """Validate, keep the model if it is the best so far, and save."""
+        progress, count = self.progress, self.progress.batch
+        row: dict[str, float | None] = {"epoch": progress.epoch + 1, "step": progress.step}
+        row["seconds"] = round(progress.seconds, 1)
+        row |= {f"train_{name}": value / count for name, value in progress.sums.items()} | self._validate()
+        progress.rows.append(row)
+        progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
+        progress.best = self._keep_if_best(row, progress.epoch)
+        if self.rank == 0:
+            text = io.StringIO()
+            columns = list(dict.fromkeys(name for row in progress.rows for name in row))
+            writer = csv.DictWriter(text, columns, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(progress.rows)
+            write_text(self.folder / "curves.csv", text.getvalue())
+        self._save()
+
+    def _validate(self) -> dict[str, float | None]:
+        """Values of the held-out paths, named as in the curves; none but in the first of processes."""
+        if self.rank > 0:
+            return {}
+        self.stage.module.eval()
+        with torch.no_grad():
+            return {f"validation_{name}": value for name, value in self.stage.validate().items()}
+
+    def _keep_if_best(self, row: Mapping[str, float | None], epoch: int) -> float | None:
+        """Save the model if it is the best so far; the least selecting value so far."""
+        value, best = row.get(self.stage.selection), self.progress.best
+        if value is None or (best is not None and value >= best):
+            return best
+        losses = {**row, "epoch": epoch, "step": self.progress.step}
+        metadata = {**self.metadata, "losses": losses, "torch": torch.__version__}
+        save_checkpoint(self.folder / TRAINED_FOLDER, self.stage.checkpoint(metadata))
+        return value
+
+    def _save(self) -> None:
+        """Write everything needed to continue."""
+        if self.rank == 0:
+            parts = {"module": self.stage.module.state_dict(), "optimizer": self.optimizer.state_dict()}
+            content = io.BytesIO()
+            torch.save({**parts, "progress": vars(self.progress)}, content)
+            write_bytes(self.folder / "state.pt", content.getvalue())
+
+    def _load(self) -> None:
+        path = self.folder / "state.pt"
+        try:
+            state = torch.load(io.BytesIO(read_bytes(path)), "cpu", weights_only=True)
+            self.stage.module.load_state_dict(state["module"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.progress = Progress(**state["progress"])
+        except Exception as error:  # what a damaged archive raises depends on the byte
+            raise InvalidInputError(f"{path} is damaged: {error}; choose another --out") from error
+
+
+class _Losses(nn.Module):
+    """A stage's losses as a module, for DistributedDataParallel."""
+
+    def __init__(self, stage: Stage) -> None:
+        super().__init__()
+        self.module, self._of = stage.module, stage.losses
+
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        return self._of(batch)
+
+
+def joined_processes() -> tuple[int, int]:
+    """Number of this process and how many there are under `torchrun`, over gloo; (0, 1) without it."""
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    if count == 1:
+        return 0, 1
+    if not dist.is_initialized():
+        dist.init_process_group("gloo")
+        if torch.cuda.is_available():
+            torch.cuda.set_device(int(os.environ["LOCAL_RANK"]) % torch.cuda.device_count())
+    return dist.get_rank(), count
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """A list that a first Ctrl-C or SIGTERM fills, so that the training can save; a second one acts as usual."""
+    received: list[int] = []
+    earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def note(number: int, frame: object) -> None:
+        received.append(number)
+        signal.signal(number, earlier[signal.Signals(number)])
+
+    for number in earlier:
+        signal.signal(number, note)
+    try:
+        yield received
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+
+
+def _ignore_interrupt(worker: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the trainer's business
+
+
+def _device(name: str) -> torch.device:
+    if name not in ("auto", "cpu", "cuda"):
+        raise UnknownChoiceError("device", name, ("auto", "cpu", "cuda"))
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InvalidInputError("device cuda: torch finds no GPU here; use cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
