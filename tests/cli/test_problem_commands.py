@@ -105,13 +105,6 @@ def test_a_wrong_pose_or_region_is_one_line(mine, capsys, words, message):
     assert message in refused(capsys, "ik", "--problem-file", mine, *words)
 
 
-def test_exported_problems_are_planned_from_their_files(capsys, tmp_path):
-    assert main(["problems", "export", "place-task", "--problems", "1", "--out", str(tmp_path)]) == 0
-    (path,) = tmp_path.iterdir()
-    assert path.name == "place-task-000.json" and PlanningProblem.load(path).goal_region is not None
-    assert main(["plan", "--problem-file", str(path), "--iterations", "20000"]) == 0
-
-
 def test_problems_are_listed(capsys):
     assert main(["problems", "list", "place-task", "--problems", "2"]) == 0
     lines = capsys.readouterr().out.splitlines()

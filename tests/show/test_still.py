@@ -7,8 +7,7 @@ import pytest
 from matplotlib.image import imread
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.show.labels import Label, Strip
-from cvqmpt_lab.show.meshes import GOAL_COLOUR, ROBOT_COLOUR, Viewpoint
+from cvqmpt_lab.show.meshes import Viewpoint
 from cvqmpt_lab.show.picture import draw_solution
 from experiments.suites.place_task import carried_can
 
@@ -31,13 +30,6 @@ def test_what_the_hand_carries_is_drawn_where_the_problem_leaves_it_out(unsolved
         for name in ("without", "with")
     ]
     assert red[0] == 0 and red[1] > 15
-
-
-def test_a_wide_picture_has_its_legend_below(unsolved, tmp_path):
-    draw_solution(unsolved, tmp_path / "a.png", (420, 280), viewpoint=Viewpoint())
-    strip = Strip([Label("start", ROBOT_COLOUR), Label("goal", GOAL_COLOUR), Label("no path found")], 420)
-    below = imread(tmp_path / "a.png")[-strip.height :, :, :3]
-    np.testing.assert_allclose(below, strip.image() / 255, atol=1e-6)
 
 
 def test_unwritable_picture_is_refused(unsolved, tmp_path):
