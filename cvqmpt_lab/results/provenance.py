@@ -18,17 +18,9 @@ from cvqmpt_lab.files import read_json_object, write_text
 PROVENANCE_FILE = "provenance.json"
 
 _PACKAGES = (
-    "coal",
-    "cvqmpt-lab",
-    "example-robot-data",
-    "numba",
-    "numpy",
-    "ompl",
-    "pin",
-    "rerun-sdk",
-    "scipy",
-    "torch",
-)
+    "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
+)  # fmt: skip
+# What the fields of a session are, and of a configuration, that others read.
 _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
     "git_dirty": bool | None,
@@ -36,9 +28,7 @@ _FORMS: Mapping[str, Any] = {
     "wall_s": float,
     "weights": Mapping[str, Any],
 }
-"""What fields of a session are that others read."""
 _BUDGET: Mapping[str, Any] = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
-"""Of a configuration."""
 _THREAD_VARIABLES = ("MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -51,16 +41,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Describe one session of runs, ready for json; unknown facts are None and nothing here fails.
 
-    Parameters
-    ----------
-    command
-        The command line, as words.
-    seeds
-        Seeds of the runs.
-    weights
-        Digest of each model in use, by the model's name.
-    processes
-        How many ran side by side.
+    weights: digest of each model in use, by the model's name. processes: how many ran side by side.
     """
     commit, dirty = _git_state(_CHECKOUT)
     return {
@@ -147,14 +128,7 @@ class ProvenanceFile:
         return self.directory / PROVENANCE_FILE
 
     def read(self) -> dict[str, Any]:
-        """Return the whole record.
-
-        Raises
-        ------
-        RunStoreError
-            When the file is missing, is not json, holds no configuration, or something else where `_FORMS` tells
-            what is.
-        """
+        """Return the whole record; RunStoreError when it is missing, no json, or not of the form that others read."""
         if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use another --out"
@@ -166,10 +140,8 @@ class ProvenanceFile:
         if not isinstance(record.get("configuration"), dict):
             raise RunStoreError(f"{self.path} records no configuration; use another --out")
         with located(f"{self.path}"):
-            for part in (
-                record,
-                *from_plain(tuple[Mapping[str, Any], ...], record.get("continued", []), "continued"),
-            ):
+            later = from_plain(tuple[Mapping[str, Any], ...], record.get("continued", []), "continued")
+            for part in (record, *later):
                 _check(part, _FORMS)
             _check(record["configuration"], _BUDGET)
         return record

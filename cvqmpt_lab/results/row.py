@@ -21,8 +21,7 @@ from cvqmpt_lab.files import read_text, write_text
 
 SCHEMA = "2"
 RUNS_FILE = "runs.csv"
-FORMULA = ("=", "+", "-", "@")
-"""How a cell begins that a spreadsheet would run."""
+FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
 
 
 class FailReason(StrEnum):
@@ -66,70 +65,53 @@ class ResultRow:
     Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m]. numpy
     scalars are converted to plain Python values.
 
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError
-        For a value of the wrong type or not finite, text that is empty, unprintable or like a formula, a
-        negative number (other than a clearance), ``solved`` without ``certified``, or a run that
-        neither is solved nor has a ``fail_reason``, or both.
+    InvalidInputError or UnknownChoiceError for a value of the wrong type or not finite, text that is empty,
+    unprintable or like a formula, a negative number (other than a clearance), ``solved`` without ``certified``, or a
+    run that neither is solved nor has a ``fail_reason``, or both.
     """
 
     schema: str = SCHEMA
     suite: str
-    problem: str
-    """Name of the problem; ``TASK/NUMBER-PHASE`` for a phase of a task."""
+    problem: str  # its name; ``TASK/NUMBER-PHASE`` for a phase of a task
     planner: str
     sampler_used: str | None = None
     seed: int
     backend: str
-    solved: bool
-    """Certified success: the planner claimed a path and the independent certificate accepted it."""
+    solved: bool  # certified: the planner claimed a path and the independent certificate accepted it
     fail_reason: FailReason | None = None
-    detail: str | None = None
-    """One line more, for people."""
-    fallback: str | None = None
-    """Why the path did not come the way the planner's name promises."""
-    certified: bool | None = None
-    """None when there was no path to certify."""
-    t_total_s: float | None = None
-    """Sum of the times below."""
-    t_goals_s: float | None = None
-    """Goal inverse kinematics, charged to every planner alike."""
+    detail: str | None = None  # one line more, for people
+    fallback: str | None = None  # why the path did not come the way the planner's name promises
+    certified: bool | None = None  # None when there was no path to certify
+    t_total_s: float | None = None  # sum of the times below
+    t_goals_s: float | None = None  # goal inverse kinematics, charged to every planner alike
     t_encode_s: float | None = None
     t_predict_s: float | None = None
     t_optimize_s: float | None = None
-    t_plan_s: float | None = None
-    """Search alone, without networks."""
+    t_plan_s: float | None = None  # search alone, without networks
     t_simplify_s: float | None = None
     n_projections: int | None = None
     n_newton_iterations: int | None = None
     n_state_checks: int | None = None
     n_iterations: int | None = None
     vertices: int | None = None
-    path_length_raw_rad: float | None = None
-    """Before simplification."""
+    path_length_raw_rad: float | None = None  # before simplification
     path_length_rad: float | None = None
-    execution_time_s: float | None = None
-    """Duration of the timed motion, of phases of tasks."""
+    execution_time_s: float | None = None  # duration of the timed motion, of phases of tasks
     max_violation_rad: float | None = None
     max_violation_m: float | None = None
-    min_clearance_m: float | None = None
-    """Negative where bodies overlap."""
+    min_clearance_m: float | None = None  # negative where bodies overlap
     path_sha256: str | None = None
+    # Of scanned scenes: from depth images in files to the map (not in `t_total_s`), and to the certificate; whether
+    # the path is free in the scene that was scanned, which planners do not know, and its clearance there.
     t_sense_s: float | None = None
-    """From depth images in files to the map that is planned in, of scanned scenes; not in `t_total_s`."""
     t_whole_s: float | None = None
-    """From depth images in files to the certificate, everything counted, of scanned scenes."""
     true_free: bool | None = None
-    """Whether the path is free in the scene that was scanned, which planners do not know."""
     true_clearance_m: float | None = None
-    """Of the path in that scene; negative where bodies overlap."""
+    # Where time was given to improve the first path: what of it was used (in `t_total_s`), how many searches were
+    # begun in it, and the length of the first path, shortened; `path_length_rad` is of the best.
     t_improve_s: float | None = None
-    """Of the time given for it, what was used on restarts and shortening after the first path; in `t_total_s`."""
     n_restarts: int | None = None
-    """Searches begun in that time."""
     path_length_first_rad: float | None = None
-    """Of the first path, shortened; `path_length_rad` is of the best."""
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():
@@ -155,8 +137,9 @@ class ResultRow:
 
 
 COLUMNS: tuple[str, ...] = tuple(field_kinds(ResultRow))
-FIRST_COLUMNS = COLUMNS.index("t_sense_s")
-"""So many are in every file; those after them are empty where a file was written before they were added."""
+FIRST_COLUMNS = COLUMNS.index(
+    "t_sense_s"
+)  # so many are in every file; older files lack some of the later ones
 SIGNED = ("min_clearance_m", "true_clearance_m")
 
 
@@ -263,12 +246,7 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
 def read_rows(path: Path) -> list[ResultRow]:
     """Read a csv of runs; floats come back exactly as they were.
 
-    Raises
-    ------
-    InvalidInputError
-        When the file cannot be read.
-    RunStoreError
-        Naming the file, line and column that are wrong.
+    InvalidInputError when the file cannot be read; RunStoreError names the file, line and column that are wrong.
     """
     return parse_rows(Path(path), read_text(path))
 

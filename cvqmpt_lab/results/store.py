@@ -12,18 +12,10 @@ import numpy as np
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import lock as lock_folder
 from cvqmpt_lab.files import read_bytes, unlock
+from cvqmpt_lab.results import row as rows_csv
 from cvqmpt_lab.results.paths import PARTIAL_PATHS, KeptPaths, array_bytes, merge_paths
 from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import (
-    RUNS_FILE,
-    ResultRow,
-    RunKey,
-    csv_text,
-    parse_rows,
-    read_rows,
-    sorted_rows,
-    write_rows,
-)
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey
 
 PARTIAL_FILE = "runs.partial.csv"
 
@@ -55,21 +47,11 @@ class RunStore:
     ) -> "RunStore":
         """Create a store, or continue one that was made with an equal configuration and the same weights.
 
-        Parameters
-        ----------
-        directory
-            The results directory; made when missing.
-        configuration
-            Every setting that must not change within one table (suite, cutoff, ...), as json values.
-        session
-            What `cvqmpt_lab.results.provenance.provenance` returns. A continued store keeps the
-            first one and lists later ones, once they add a row, under ``continued``.
+        configuration: every setting that must not change within one table (suite, cutoff, ...), as json values.
+        session: of `provenance`; a continued store lists it, once it adds a row, under ``continued``.
 
-        Raises
-        ------
-        RunStoreError
-            When the directory cannot be written, is in use, was made with another configuration or other
-            weights (the message names which), or holds runs without provenance or with foreign columns.
+        RunStoreError when the directory cannot be written, is in use, was made with another configuration or other
+        weights (the message names which), or holds runs without provenance or with foreign columns.
         """
         directory = Path(directory)
         try:
@@ -99,23 +81,23 @@ class RunStore:
         merged, partial = self.directory / RUNS_FILE, self.directory / PARTIAL_FILE
         KeptPaths(self.directory)  # refused before hours of work, not after
         if merged.is_file():
-            self._rows = {row.key: row for row in read_rows(merged)}
+            self._rows = {row.key: row for row in rows_csv.read_rows(merged)}
         if partial.is_file():
             data = read_bytes(partial)
             whole = data[: data.rfind(b"\n\n") + 2] if b"\n\n" in data else b""
-            left = parse_rows(partial, whole.decode("utf-8", "replace"), header=False)
+            left = rows_csv.parse_rows(partial, whole.decode("utf-8", "replace"), header=False)
             self._rows |= {row.key: row for row in left}
         if partial.is_file() or (self.directory / PARTIAL_PATHS).is_file():
             self._merge()
 
     def _merge(self) -> None:
         merge_paths(self.directory, {row.path_sha256 for row in self._rows.values() if row.path_sha256})
-        write_rows(self.directory / RUNS_FILE, self._rows.values())
+        rows_csv.write_rows(self.directory / RUNS_FILE, self._rows.values())
         (self.directory / PARTIAL_FILE).unlink(missing_ok=True)
 
     def rows(self) -> list[ResultRow]:
         """All rows so far, in the order of `sorted_rows`."""
-        return sorted_rows(self._rows.values())
+        return rows_csv.sorted_rows(self._rows.values())
 
     def done(self) -> frozenset[RunKey]:
         """Runs that need not be run again; a task counts as one run, under its own name."""
@@ -124,12 +106,7 @@ class RunStore:
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
         """Add all rows of one run and its paths' states (m, n), and force them to disk.
 
-        A row with a known key replaces the earlier one.
-
-        Raises
-        ------
-        RunStoreError
-            When the store is finished or the disk refuses the rows.
+        A row with a known key replaces the earlier one. RunStoreError when the store is finished or the disk full.
         """
         if self._lock is None:
             raise RunStoreError(f"the store {self.directory} is finished; open it again to append")
@@ -141,7 +118,7 @@ class RunStore:
         try:
             if paths:
                 self._append_to(PARTIAL_PATHS, b"".join(map(array_bytes, paths)))
-            self._append_to(PARTIAL_FILE, (csv_text(rows, header=False) + "\n").encode("utf-8"))
+            self._append_to(PARTIAL_FILE, (rows_csv.csv_text(rows, header=False) + "\n").encode("utf-8"))
         except OSError as error:
             raise RunStoreError(f"cannot append to {self.directory}: {error.strerror}") from error
 
