@@ -13,9 +13,8 @@ from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.paths import states_hash
-from cvqmpt_lab.results.phase_name import phase_problem
-from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line
+from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line, phase_problem
+from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.suites.place_task import UnsolvableProblem

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.results.phase_name import PAPER_PHASES
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
+from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, read_rows
 from cvqmpt_lab.results.statistics import geometric_mean_interval
 from paper_tables import statements
 from paper_tables.judging import NOTHING, Verdict, judged, less, ruling

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from cvqmpt_lab.results.phase_name import split_problem
-from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.row import ResultRow, split_problem
 from paper_tables import measures, table
 from paper_tables.measures import RATIOS, REFERENCE, solved
 from paper_tables.paper_numbers import PublishedValue

@@ -6,8 +6,7 @@ A row is one planned phase. Times of a task are sums over its phases: those that
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cvqmpt_lab.results.phase_name import PAPER_PHASES, split_problem
-from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
+from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 from paper_tables import measures, table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import Measure, solved

@@ -7,8 +7,7 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.phase_name import split_problem
-from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows
+from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
 from cvqmpt_lab.results.statistics import Interval, jointly_solved
 from paper_tables import writers
 from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, split_by_work

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cvqmpt_lab.codec.plain import field_kinds, from_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError, UnknownChoiceError, shown
@@ -22,6 +22,12 @@ from cvqmpt_lab.files import read_text, write_text
 SCHEMA = "2"
 RUNS_FILE = "runs.csv"
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
+
+PAPER_PHASES = (
+    "reach-handle",
+    "reach-can",
+    "carry",
+)  # whose times the paper's add up to, as far as can be inferred
 
 
 class FailReason(StrEnum):
@@ -48,7 +54,7 @@ class FailReason(StrEnum):
     OUT_OF_MEMORY = "out_of_memory"
 
 
-class RunKey(typing.NamedTuple):
+class RunKey(NamedTuple):
     """What identifies a run: a second row with the same key replaces the first."""
 
     suite: str
@@ -254,3 +260,25 @@ def read_rows(path: Path) -> list[ResultRow]:
 def write_rows(path: Path, rows: Iterable[ResultRow]) -> None:
     """Write rows in the order of `sorted_rows`, replacing the file at once or not at all."""
     write_text(path, csv_text(sorted_rows(rows)))
+
+
+class PhaseName(NamedTuple):
+    """A planned phase of a task, named ``TASK/NUMBER-PHASE`` in rows, such as ``3/5-carry``."""
+
+    task: str
+    number: int  # among the planned ones, from 1
+    phase: str
+
+
+def phase_problem(task: str, number: int, phase: str) -> str:
+    """Name of a phase's problem in rows."""
+    return f"{task}/{number}-{phase}"
+
+
+def split_problem(problem: str) -> PhaseName:
+    """Inverse of `phase_problem`; InvalidInputError for rows of another kind."""
+    task, slash, rest = problem.rpartition("/")
+    number, dash, phase = rest.partition("-")
+    if not (slash and dash and number.isdecimal()):
+        raise InvalidInputError(f"problem {problem!r} is no phase of a task, such as 3/5-carry")
+    return PhaseName(task, int(number), phase)

@@ -20,7 +20,7 @@ from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
-from cvqmpt_lab.results.phase_name import phase_problem
+from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene

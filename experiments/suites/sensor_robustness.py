@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from cvqmpt_lab.results.phase_name import phase_problem
+from cvqmpt_lab.results.row import phase_problem
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.scanned_scenes import SCENES
 from experiments.suites.sensor import SensedProblem, Sensing, sensor_problem

@@ -13,8 +13,8 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.results.paths import PATHS_FILE, KeptPaths, states_hash
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from cvqmpt_lab.results.store import PATHS_FILE, KeptPaths, states_hash
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder
 from cvqmpt_lab.tasks.phase_goals import phase_problems

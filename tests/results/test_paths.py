@@ -5,9 +5,8 @@ import pytest
 from made_rows import CONFIGURATION, a_row, names
 
 from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.results.paths import PARTIAL_PATHS, PATHS_FILE, KeptPaths, states_hash
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
-from cvqmpt_lab.results.store import RunStore
+from cvqmpt_lab.results.store import PARTIAL_PATHS, PATHS_FILE, KeptPaths, RunStore, states_hash
 
 
 def path(seed):

@@ -14,7 +14,7 @@ from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.results.phase_name import split_problem
+from cvqmpt_lab.results.row import split_problem
 from cvqmpt_lab.robot.loading import FINGER_OPENING
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box

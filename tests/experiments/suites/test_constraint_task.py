@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.problem import check_problem
-from cvqmpt_lab.results.phase_name import split_problem
+from cvqmpt_lab.results.row import split_problem
 from experiments.suites.constraint_task import MOVED, NAMES, PROBLEMS, constraint_problem, trivial
 from experiments.suites.table import suite_named
 
