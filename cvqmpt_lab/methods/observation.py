@@ -89,7 +89,9 @@ class Observer:
         return camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
 
     def _made_of(self, scene: Scene) -> bytes:
-        return f"{_sources()} {self.settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
+        cameras = [(each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras]
+        settings = replace(self.settings, cameras=())
+        return f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
 
 
 @cache

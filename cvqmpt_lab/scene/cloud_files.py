@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import lzf
 import numpy as np
@@ -297,14 +298,11 @@ def _ply_vertices(lines: Sequence[Sequence[str]]) -> tuple[str, list[Column], in
     return form, columns, int(lines[first][2])
 
 
-@dataclass(frozen=True, eq=False)
-class CloudRead:
+class CloudRead(NamedTuple):
     """A cloud as a file holds it."""
 
-    points: FloatArray
-    """(m, 3), m >= 1, all finite [m]."""
-    dropped: int
-    """Points left out because a coordinate was not finite."""
+    points: FloatArray  # (m, 3), m >= 1, all finite [m]
+    dropped: int  # points left out because a coordinate was not finite
 
 
 def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:

@@ -1,106 +1,131 @@
-"""Where a depth camera stands and what its optics take in."""
+"""A pinhole camera without distortion: intrinsics, and its pose T_world_camera in the robot's base frame.
+
+The camera's frame is optical: x to the right, y down, z ahead. Pixel (0, 0) is the middle of the upper left one.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray, Length, Such
+from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
-
-@dataclass(frozen=True)
-class DepthCamera:
-    """A virtual depth camera, upright."""
-
-    eye: tuple[float, float, float]
-    """Where it stands [m]."""
-    target: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """What it looks at [m]; another point than `eye`."""
-
-    def __post_init__(self) -> None:
-        if not np.isfinite([*self.eye, *self.target]).all() or np.allclose(self.eye, self.target):
-            raise InvalidInputError(f"camera at {self.eye} cannot look at {self.target}; give two points")
-
-    @cached_property
-    def axes(self) -> np.ndarray:
-        """(3, 3), rows: to the right, up, ahead."""
-        ahead = np.subtract(self.target, self.eye)
-        ahead = ahead / np.linalg.norm(ahead)
-        upright = (0.0, 0.0, 1.0) if abs(ahead[2]) < 1.0 - 1e-9 else (1.0, 0.0, 0.0)
-        right = np.cross(ahead, upright)
-        right /= np.linalg.norm(right)
-        return np.array([right, np.cross(right, ahead), ahead])
-
-    @property
-    def T_world_camera(self) -> np.ndarray:
-        """(4, 4), pose of the frame in which images are given: x to the right, y down, z ahead [m]."""
-        right, up, ahead = self.axes
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = np.stack([right, -up, ahead], axis=1), self.eye
-        return T
+MOST_PIXELS = 2**14  # of a side of an image
+Pixels = Annotated[
+    int, Such(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})
+]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lens:
-    """Size, angle and range of a camera's images; by default of those that published kitchen clouds were made of."""
+@dataclass(frozen=True, eq=False)
+class Intrinsics(Checked):
+    """How a camera projects, and the range of depths that it measures."""
 
-    width: int = 224
-    """Of each image [pixels]."""
-    height: int = 224
-    """Of each image [pixels]."""
-    vertical_fov: float = 45.0
-    """Angle of view from the bottom to the top of an image [deg]."""
-    near: float = 1.0
-    """Nearer surfaces are looked through [m]."""
-    far: float = 5.1
-    """Farther surfaces are not seen [m]."""
+    width: Pixels
+    height: Pixels
+    fx: Length  # focal length along rows [pixels]
+    fy: Length  # focal length along columns [pixels]
+    cx: float  # column of the principal point [pixels]
+    cy: float  # row of the principal point [pixels]
+    near: float = 0.0  # [m] virtual cameras look through nearer surfaces
+    far: float = 1000.0  # [m] and do not see farther ones
 
     def __post_init__(self) -> None:
-        if min(self.width, self.height) < 1 or not 0.0 < self.vertical_fov < 180.0:
+        super().__post_init__()
+        if not (0.0 <= self.cx < self.width and 0.0 <= self.cy < self.height):
             raise InvalidInputError(
-                f"image of {self.width} x {self.height} pixels, {self.vertical_fov} deg: give 1 or more pixels, "
-                "an angle between 0 and 180"
+                f"intrinsics: principal point ({self.cx:g}, {self.cy:g}) is outside the image of "
+                f"{self.width} x {self.height} pixels; give those of this image's size"
             )
-        if not 0.0 < self.near < self.far:
-            raise InvalidInputError(f"camera depths {self.near} to {self.far} m: give 0 < near < far")
+        if not 0.0 <= self.near < self.far:
+            raise InvalidInputError(
+                f"intrinsics: depths {self.near:g} to {self.far:g} m; give 0 <= near < far"
+            )
 
-    @property
-    def extent(self) -> tuple[float, float]:
-        """Half the width and half the height of the image, at a depth of 1 m [m]."""
-        tall = math.tan(0.5 * math.radians(self.vertical_fov))
-        return tall * self.width / self.height, tall
+    @classmethod
+    def from_fov(
+        cls,
+        width: int = 224,
+        height: int = 224,
+        vertical_fov: float = 45.0,
+        near: float = 1.0,
+        far: float = 5.1,
+    ) -> "Intrinsics":
+        """Square pixels and a centred image, by the vertical angle of view [deg]; default: the published kitchen's."""
+        if not 0.0 < vertical_fov < 180.0:
+            raise InvalidInputError(
+                f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180"
+            )
+        focal = max(0.5 * height / math.tan(0.5 * math.radians(vertical_fov)), 1e-9)
+        return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), near, far)
 
-    def rays(self, camera: DepthCamera) -> np.ndarray:
-        """Rays (height, width, 3) through the pixels' centres, of depth 1 m."""
-        wide, tall = self.extent
-        x = wide * ((np.arange(self.width) + 0.5) * 2.0 / self.width - 1.0)
-        y = tall * (1.0 - (np.arange(self.height) + 0.5) * 2.0 / self.height)
-        right, up, ahead = camera.axes
-        return ahead + y[:, None, None] * up + x[:, None] * right
+    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """X (width,) and y (height,) of the rays through the pixels' centres at a depth of 1 m."""
+        return _axis(self.width, self.fx, self.cx), _axis(self.height, self.fy, self.cy)
 
 
-KINECT = Lens(width=320, height=288, vertical_fov=65.0, near=0.5, far=5.46)
+def _axis(count: int, focal: float, principal: float) -> np.ndarray:
+    """(i - principal) / focal for i = 0 ... count - 1, in the order of operations by which committed rows repeat."""
+    centred = 0.5 * count / focal * ((np.arange(count) + 0.5) * 2.0 / count - 1.0)
+    return centred - (principal - 0.5 * (count - 1)) / focal
+
+
+KINECT = Intrinsics.from_fov(width=320, height=288, vertical_fov=65.0, near=0.5, far=5.46)
 """Azure Kinect DK, narrow field of view, 2x2 binned: 75 x 65 deg (here 71), 0.5 to 5.46 m.
 
 Source: Microsoft, "Azure Kinect DK hardware specifications"."""
 
 
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A depth camera at a pose."""
+
+    intrinsics: Intrinsics
+    T_world_camera: FloatArray  # (4, 4) [m]
+
+    @property
+    def eye(self) -> FloatArray:
+        """Where it stands (3,) [m]."""
+        return self.T_world_camera[:3, 3]
+
+    def rays(self) -> FloatArray:
+        """Rays (height, width, 3), in the world, through the pixels' centres, of depth 1 m."""
+        right, down, ahead = self.T_world_camera[:3, :3].T
+        x, y = self.intrinsics.axes()
+        return ahead + y[:, None, None] * down + x[:, None] * right
+
+
+def look_at(
+    eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
+) -> FloatArray:
+    """T_world_camera (4, 4) of an upright camera at eye (3,) that looks at target (3,), another point [m]."""
+    if not np.isfinite([*eye, *target]).all() or np.allclose(eye, target):
+        raise InvalidInputError(f"camera at {eye} cannot look at {target}; give two points")
+    ahead = np.subtract(target, eye)
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, (0.0, 0.0, 1.0) if abs(ahead[2]) < 1.0 - 1e-9 else (1.0, 0.0, 0.0))
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.stack([right, np.cross(ahead, right), ahead], axis=1), eye
+    return T
+
+
 def cameras_on_sphere(
-    azimuths: tuple[float, ...],
-    elevations: tuple[float, ...],
+    intrinsics: Intrinsics,
+    azimuths: Sequence[float],
+    elevations: Sequence[float],
     radius: float = 2.0,
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> tuple[DepthCamera, ...]:
+) -> tuple[Camera, ...]:
     """Cameras at every pair of azimuth and elevation [deg], `radius` [m] from the point they look at."""
     cameras = []
     for elevation in np.radians(elevations):
         for azimuth in np.radians(azimuths):
-            direction = (
-                math.cos(elevation) * math.cos(azimuth),
-                math.cos(elevation) * math.sin(azimuth),
-                math.sin(elevation),
-            )
-            x, y, z = (float(c + radius * d) for c, d in zip(centre, direction, strict=True))
-            cameras.append(DepthCamera((x, y, z), centre))
+            flat = math.cos(elevation)
+            away = (flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation))
+            eye = [float(c + radius * d) for c, d in zip(centre, away, strict=True)]
+            cameras.append(Camera(intrinsics, look_at(eye, centre)))
     return tuple(cameras)

@@ -1,6 +1,7 @@
-"""Depth images to points, and back to files: 16-bit PNG, or NPY with a number a pixel."""
+"""Depth images (16-bit PNG, or NPY with a number a pixel) and captures: what one camera saw, as points."""
 
 import io
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,22 +9,26 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import write_bytes
+from cvqmpt_lab.files import write_bytes, write_text
 from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing, read_array, read_cloud
-from cvqmpt_lab.sensing.camera_files import Pinhole, read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.camera import Intrinsics
+from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.render import View
+
+MILLIMETRES = 0.001  # [m] of one unit of a 16-bit image, as depth cameras write them
+SIXTEEN_BITS = ("I;16", "I;16B", "I;16L")  # what Pillow calls them
+EXPANSION = 1100  # bytes, at most, that PNG packs into one
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
     """What one camera saw."""
 
-    points: FloatArray
-    """(m, 3), all finite [m, camera frame]."""
-    unseen: int = 0
-    """Pixels, or rows of a file, without a finite point."""
-    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
-    """(4, 4); the camera's frame is the robot's base frame unless said otherwise."""
+    points: FloatArray  # (m, 3), all finite [m, camera frame]
+    unseen: int = 0  # pixels, or rows of a file, without a finite point
+    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))  # (4, 4); default: the base frame
 
     @property
     def in_world(self) -> FloatArray:
@@ -31,19 +36,42 @@ class Capture:
         return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
 
-MILLIMETRES = 0.001
-"""[m] of one unit of a 16-bit image, as depth cameras write them."""
-SIXTEEN_BITS = ("I;16", "I;16B", "I;16L")
-"""What Pillow calls them."""
-EXPANSION = 1100
-"""Bytes, at most, that PNG packs into one."""
+def read_capture(
+    path: Path | str,
+    intrinsics: Path | str | None = None,
+    extrinsics: Path | str | None = None,
+    scale: float | None = None,
+) -> Capture:
+    """Read a cloud, or, with intrinsics, a depth image.
+
+    intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the robot's base frame.
+    scale: [m] of one unit; None: metres, of a 16-bit image millimetres.
+
+    Raises
+    ------
+    InvalidInputError, UnknownChoiceError: a file that cannot be used, by name.
+    """
+    path = Path(path)
+    if intrinsics is None and path.suffix.lower() == ".png":
+        raise InvalidInputError(
+            f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)"
+        )
+    T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
+    if intrinsics is None:
+        points, dropped = read_cloud(path, 1.0 if scale is None else scale)
+        return Capture(points, dropped, T)
+    lens = read_intrinsics(intrinsics)
+    pixels = deprojected(read_depth(path, lens, scale), lens).reshape(-1, 3)
+    points = pixels[np.isfinite(pixels[:, 2])]
+    if len(points) == 0:
+        raise InvalidInputError(f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite")
+    check_lengths(points, f"depth image {path}")
+    return Capture(points, len(pixels) - len(points), T)
 
 
-def read_depth(path: Path | str, camera: Pinhole, scale: float | None = None) -> FloatArray:
+def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
     """Depth (height, width) along the camera's axis [m], NaN where the camera saw nothing (0, or not finite).
 
-    Parameters
-    ----------
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
 
     Raises
@@ -55,11 +83,17 @@ def read_depth(path: Path | str, camera: Pinhole, scale: float | None = None) ->
     reader = DEPTH_READERS[kind_of(path, DEPTH_READERS, "depth image")]
     data = file_bytes(path, "depth image")
     with parsing(path, "depth image"), np.errstate(over="ignore", invalid="ignore"):
-        image = reader(data, camera)
+        image = reader(data, lens)
         unit = (MILLIMETRES if image.dtype.kind == "u" else 1.0) if scale is None else scale
         depth = unit * image.astype(np.float64)
     depth[~(np.isfinite(depth) & (depth > 0.0))] = np.nan
     return depth
+
+
+def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
+    """The points (height, width, 3) [m, camera frame] of a depth image (height, width) [m]; NaN stays."""
+    x, y = lens.axes()
+    return np.stack([depth * x, depth * y[:, None], depth], axis=-1)
 
 
 def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES) -> None:
@@ -77,14 +111,22 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES)
     write_bytes(Path(path), stream.getvalue())
 
 
-def deprojected(depth: FloatArray, camera: Pinhole) -> FloatArray:
-    """The organised cloud (height, width, 3) [m, camera frame] of a depth image (height, width) [m]; NaN stays."""
-    across = (np.arange(camera.width) - camera.cx) / camera.fx
-    down = (np.arange(camera.height) - camera.cy) / camera.fy
-    return np.stack([depth * across, depth * down[:, None], depth], axis=-1)
+def write_view(view: View, folder: Path, name: str) -> tuple[Path, Path, Path]:
+    """Write a view as a lab's camera would: ``name.png``, ``name.intrinsics.json`` and ``name.extrinsics.json``.
+
+    Returns the three paths in the order that `read_capture` takes them.
+    """
+    image, intrinsics, extrinsics = (
+        folder / f"{name}.{end}" for end in ("png", "intrinsics.json", "extrinsics.json")
+    )
+    write_depth(image, view.depth)
+    write_text(intrinsics, json.dumps(to_plain(view.camera.intrinsics), indent=1) + "\n")
+    pose = {"T_world_camera": view.camera.T_world_camera.tolist()}
+    write_text(extrinsics, json.dumps(pose, indent=1) + "\n")
+    return image, intrinsics, extrinsics
 
 
-def _read_png(data: bytes, camera: Pinhole) -> np.ndarray:
+def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
     from PIL import Image
 
     with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
@@ -92,67 +134,29 @@ def _read_png(data: bytes, camera: Pinhole) -> np.ndarray:
             raise InvalidInputError(
                 f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image"
             )
-        _check_size((image.height, image.width), camera)
+        _check_size((image.height, image.width), lens)
         if image.width * image.height * 2 > EXPANSION * len(data):
             raise InvalidInputError("its header says more pixels than the file can hold: cut short?")
         return np.asarray(image, dtype=np.uint16)
 
 
-def _read_npy(data: bytes, camera: Pinhole) -> np.ndarray:
+def _read_npy(data: bytes, lens: Intrinsics) -> np.ndarray:
     image = read_array(data)
     if image.ndim != 2 or image.dtype.kind not in "fui":
         raise InvalidInputError("it holds no array (height, width) of numbers")
-    _check_size(image.shape, camera)
+    _check_size(image.shape, lens)
     return image
 
 
-def _check_size(shape: tuple[int, ...], camera: Pinhole) -> None:
-    if shape != (camera.height, camera.width):
+def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
+    if shape != (lens.height, lens.width):
         raise InvalidInputError(
-            f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {camera.width} x {camera.height}; "
+            f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x {lens.height}; "
             "give those of this image (fx, fy, cx, cy grow with its size)"
         )
 
 
-DEPTH_READERS: Mapping[str, Callable[[bytes, Pinhole], np.ndarray]] = {".png": _read_png, ".npy": _read_npy}
-"""Readers of (height, width) numbers by the suffix of the file."""
-
-
-# Views from files: a depth image with its camera, or a cloud.
-IMAGE = ".png"
-
-
-def read_capture(
-    path: Path | str,
-    intrinsics: Path | str | None = None,
-    extrinsics: Path | str | None = None,
-    scale: float | None = None,
-) -> Capture:
-    """Read what one camera saw.
-
-    Parameters
-    ----------
-    path: a cloud, or, with intrinsics, a depth image.
-    intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the robot's base frame.
-    scale: [m] of one unit; None: metres, of a 16-bit image millimetres.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError: a file that cannot be used, by name.
-    """
-    path = Path(path)
-    if intrinsics is None and path.suffix.lower() == IMAGE:
-        raise InvalidInputError(
-            f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)"
-        )
-    T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
-    if intrinsics is None:
-        cloud = read_cloud(path, 1.0 if scale is None else scale)
-        return Capture(cloud.points, cloud.dropped, T)
-    camera = read_intrinsics(intrinsics)
-    pixels = deprojected(read_depth(path, camera, scale), camera).reshape(-1, 3)
-    points = pixels[np.isfinite(pixels[:, 2])]
-    if len(points) == 0:
-        raise InvalidInputError(f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite")
-    check_lengths(points, f"depth image {path}")
-    return Capture(points, len(pixels) - len(points), T)
+DEPTH_READERS: Mapping[str, Callable[[bytes, Intrinsics], np.ndarray]] = {
+    ".png": _read_png,
+    ".npy": _read_npy,
+}

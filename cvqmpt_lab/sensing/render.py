@@ -1,21 +1,28 @@
-"""Convex solids that rays meet: where they enter, and which way the surface faces there."""
+"""Depth images of convex solids by ray casting, without any error: depths, and which solid at every pixel.
+
+Surfaces are seen from outside only. What a camera stands in, and what lies nearer than its near plane, it looks
+through, as a renderer that leaves out back faces does: the two lower cameras of the published set-up stand
+below the floor and see the kitchen all the same.
+"""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.camera import Camera
+
+NOTHING = -1  # in the place of a solid's index
+AHEAD = 1e-3  # [m] corners must lie this far ahead of a camera for their rectangle in the image to be known
 
 
 @dataclass(frozen=True, eq=False)
 class Solid(ABC):
     """A convex body; its methods speak of its own frame."""
 
-    T_world_solid: np.ndarray
-    """(4, 4) or (3, 4), its pose [m]."""
+    T_world_solid: np.ndarray  # (4, 4) or (3, 4), its pose [m]
 
     @property
     @abstractmethod
@@ -33,10 +40,9 @@ class Solid(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Cuboid(Solid):
-    """Centred on its frame, edges along the axes."""
+    """A box centred on its frame, edges along the axes."""
 
-    half: np.ndarray
-    """(3,) half of each edge [m]."""
+    half: np.ndarray  # (3,) half of each edge [m]
 
     @property
     def corners(self) -> np.ndarray:
@@ -58,10 +64,9 @@ class Cuboid(Solid):
 
 @dataclass(frozen=True, eq=False)
 class Ball(Solid):
-    """Centred on its frame."""
+    """A ball centred on its frame."""
 
-    radius: float
-    """[m]."""
+    radius: float  # [m]
 
     @property
     def corners(self) -> np.ndarray:
@@ -78,13 +83,11 @@ class Ball(Solid):
 
 
 @dataclass(frozen=True, eq=False)
-class Drum(Solid):
+class SolidCylinder(Solid):
     """A cylinder centred on its frame, axis along z."""
 
-    radius: float
-    """[m]."""
-    half: float
-    """Half of its height [m]."""
+    radius: float  # [m]
+    half: float  # half of its height [m]
 
     @property
     def corners(self) -> np.ndarray:
@@ -100,18 +103,15 @@ class Drum(Solid):
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Along the axis on its ends, away from the axis on its side."""
         on_end = np.abs(points[:, 2]) - self.half > np.linalg.norm(points[:, :2], axis=1) - self.radius
-        found = points * np.where(on_end[:, None], (0.0, 0.0, 1.0), (1.0, 1.0, 0.0))
-        return _unit(found)
+        return _unit(points * np.where(on_end[:, None], (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Polytope(Solid):
-    """Within some planes."""
+    """The points x with n x + d <= 0 for the unit normal n and offset d of every plane."""
 
-    planes: np.ndarray
-    """(f, 4): outward unit normal n and offset d of each; n x + d <= 0 inside [m]."""
-    vertices: np.ndarray
-    """(n, 3) [m]."""
+    planes: np.ndarray  # (f, 4), n and d of each [m]
+    vertices: np.ndarray  # (n, 3) [m]
 
     @property
     def corners(self) -> np.ndarray:
@@ -121,9 +121,8 @@ class Polytope(Solid):
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Behind all of its planes, taken one by one: together they would fill the memory."""
         enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
-        for normal, height in zip(
-            self.planes[:, :3], self.planes[:, :3] @ eye + self.planes[:, 3], strict=True
-        ):
+        heights = self.planes[:, :3] @ eye + self.planes[:, 3]
+        for normal, height in zip(self.planes[:, :3], heights, strict=True):
             towards = rays @ normal
             cut = -height / towards
             np.maximum(enter, cut, out=enter, where=towards < 0.0)
@@ -136,6 +135,71 @@ class Polytope(Solid):
         """Of the plane that a point is nearest to."""
         nearest = np.argmax(points @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
         return self.planes[nearest, :3]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A depth image of solids."""
+
+    camera: Camera
+    depth: np.ndarray  # (height, width) [m], along the camera's axis at each pixel's centre; inf: nothing
+    solid: np.ndarray  # (height, width) int, index of the solid that is seen; `NOTHING` where none is
+
+    @property
+    def points(self) -> np.ndarray:
+        """(m, 3), of all pixels that see something [m, world]."""
+        hit = np.isfinite(self.depth)
+        return self.camera.eye + self.depth[hit][:, None] * self.camera.rays()[hit]
+
+
+def view_of(solids: Sequence[Solid], camera: Camera) -> View:
+    """Cast a ray through every pixel."""
+    rays, lens = camera.rays(), camera.intrinsics
+    depth = np.full(rays.shape[:2], np.inf)
+    nearest = np.full(rays.shape[:2], NOTHING)
+    for index, item in enumerate(solids):
+        window = _window(item, camera)
+        if window is None:
+            continue
+        T = item.T_world_solid
+        eye = (camera.eye - T[:3, 3]) @ T[:3, :3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            enter, leave = item.interval(eye, rays[window] @ T[:3, :3])
+        seen = (enter <= leave) & (enter >= lens.near) & (enter <= lens.far) & (enter < depth[window])
+        depth[window][seen], nearest[window][seen] = enter[seen], index
+    return View(camera, depth, nearest)
+
+
+def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
+    """Cosine (height, width) of the angle between each pixel's ray and the surface's normal; 0 where nothing is."""
+    rays = view.camera.rays()
+    cosine = np.zeros(view.depth.shape)
+    for index in np.unique(view.solid[view.solid != NOTHING]):
+        T, here = solids[index].T_world_solid, view.solid == index
+        towards = -rays[here]
+        points = view.camera.eye - view.depth[here][:, None] * towards
+        normals = solids[index].normals((points - T[:3, 3]) @ T[:3, :3]) @ T[:3, :3].T
+        cosine[here] = np.einsum("pi,pi->p", normals, towards) / np.linalg.norm(towards, axis=1)
+    return np.clip(cosine, 0.0, 1.0)
+
+
+def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
+    """The rectangle of the image that a solid can be seen in, if any."""
+    T, lens = item.T_world_solid, camera.intrinsics
+    corners = item.corners @ T[:3, :3].T + T[:3, 3]
+    x, y, z = camera.T_world_camera[:3, :3].T @ (corners - camera.eye).T
+    if z.max() < lens.near or z.min() > lens.far:
+        return None
+    if z.min() < AHEAD:
+        return slice(0, lens.height), slice(0, lens.width)
+    rows = _pixels(lens.cy + lens.fy * y / z, lens.height)
+    columns = _pixels(lens.cx + lens.fx * x / z, lens.width)
+    return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else None
+
+
+def _pixels(places: np.ndarray, count: int) -> slice:
+    """Pixels of `count` in a row whose centres may lie between the least and the largest of some places."""
+    return slice(max(0, math.floor(places.min())), min(count, math.ceil(places.max()) + 1))
 
 
 def _box_corners(half: np.ndarray) -> np.ndarray:
@@ -164,87 +228,3 @@ def _within_radius(eye: np.ndarray, rays: np.ndarray, radius: float) -> tuple[np
     root = np.sqrt(b * b - a * c)  # NaN for rays that miss, which then compare as false
     parallel = np.where(c <= 0.0, np.inf, np.nan)
     return np.where(a > 0.0, (-b - root) / a, -parallel), np.where(a > 0.0, (root - b) / a, parallel)
-
-
-# What a camera sees of solids, without any error: depths, and which solid at every pixel.
-NOTHING = -1
-"""In the place of a solid's index."""
-_AHEAD = 1e-3
-"""Corners must lie this far ahead of a camera for their rectangle in the image to be known [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A picture of solids."""
-
-    camera: DepthCamera
-    """From where."""
-    lens: Lens
-    """With what optics."""
-    depth: np.ndarray
-    """(height, width) [m], along the camera's axis at the centre of each pixel; inf where it sees nothing."""
-    solid: np.ndarray
-    """(height, width) int, index of the solid that is seen; `NOTHING` where none is."""
-
-    @property
-    def points(self) -> np.ndarray:
-        """(m, 3), of all pixels that see something [m]."""
-        return points_of(self.depth, self.camera, self.lens)
-
-
-def points_of(depth: np.ndarray, camera: DepthCamera, lens: Lens) -> np.ndarray:
-    """Points (m, 3) [m, world] of the pixels of a depth image (height, width) [m] that see something."""
-    hit = np.isfinite(depth)
-    return np.array(camera.eye) + depth[hit][:, None] * lens.rays(camera)[hit]
-
-
-def view_of(solids: Sequence[Solid], camera: DepthCamera, lens: Lens) -> View:
-    """Cast a ray through every pixel."""
-    rays = lens.rays(camera)
-    depth = np.full(rays.shape[:2], np.inf)
-    nearest = np.full(rays.shape[:2], NOTHING)
-    for index, item in enumerate(solids):
-        T = item.T_world_solid
-        for window in _windows(item, camera, lens):
-            eye = (np.array(camera.eye) - T[:3, 3]) @ T[:3, :3]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                enter, leave = item.interval(eye, rays[window] @ T[:3, :3])
-            seen = (enter <= leave) & (enter >= lens.near) & (enter <= lens.far) & (enter < depth[window])
-            depth[window][seen], nearest[window][seen] = enter[seen], index
-    return View(camera, lens, depth, nearest)
-
-
-def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
-    """Cosine (height, width) of the angle between each pixel's ray and the surface's normal; 0 where nothing is."""
-    rays = view.lens.rays(view.camera)
-    cosine = np.zeros(view.depth.shape)
-    for index in np.unique(view.solid[view.solid != NOTHING]):
-        T, here = solids[index].T_world_solid, view.solid == index
-        towards = -rays[here]
-        points = view.camera.eye - view.depth[here][:, None] * towards
-        normals = solids[index].normals((points - T[:3, 3]) @ T[:3, :3]) @ T[:3, :3].T
-        cosine[here] = np.einsum("pi,pi->p", normals, towards) / np.linalg.norm(towards, axis=1)
-    return np.clip(cosine, 0.0, 1.0)
-
-
-def _windows(item: Solid, camera: DepthCamera, lens: Lens) -> Iterator[tuple[slice, slice]]:
-    """The rectangle of the image that a solid can be seen in, or none."""
-    T = item.T_world_solid
-    corners = item.corners @ T[:3, :3].T + T[:3, 3]
-    right, up, ahead = camera.axes @ (corners - camera.eye).T
-    if ahead.max() < lens.near or ahead.min() > lens.far:
-        return
-    if ahead.min() < _AHEAD:
-        yield slice(0, lens.height), slice(0, lens.width)
-        return
-    wide, tall = lens.extent
-    columns = 0.5 * lens.width * (1.0 + right / ahead / wide)
-    rows = 0.5 * lens.height * (1.0 - up / ahead / tall)
-    window = _pixels(rows, lens.height), _pixels(columns, lens.width)
-    if all(span.start < span.stop for span in window):
-        yield window
-
-
-def _pixels(places: np.ndarray, count: int) -> slice:
-    """Pixels of `count` in a row whose centres may lie between the least and the largest of some places."""
-    return slice(max(0, math.floor(places.min() - 0.5)), min(count, math.ceil(places.max() + 0.5)))

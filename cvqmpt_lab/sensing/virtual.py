@@ -1,55 +1,39 @@
 """Point clouds of scenes, as virtual depth cameras see them."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import write_text
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
-from cvqmpt_lab.sensing.camera import DepthCamera, Lens, cameras_on_sphere
-from cvqmpt_lab.sensing.camera_files import Pinhole
-from cvqmpt_lab.sensing.depth import write_depth
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
-from cvqmpt_lab.sensing.render import Ball, Cuboid, Drum, Polytope, Solid, View, view_of
+from cvqmpt_lab.sensing.render import Ball, Cuboid, Polytope, Solid, SolidCylinder, View, view_of
+
+
+def published_cameras() -> tuple[Camera, ...]:
+    """The four cameras of the published kitchen clouds."""
+    return cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
     """Where cameras stand and what becomes of what they see; defaults are the published kitchen's."""
 
-    cameras: tuple[DepthCamera, ...] = field(
-        default_factory=lambda: cameras_on_sphere((135.0, -135.0), (40.0, -40.0))
-    )
-    lens: Lens = field(default_factory=Lens)
-    """Of all of them."""
-    obstacles_only: bool = False
-    """Leave out what is no obstacle, such as the floor."""
-    crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)
-    """What is kept of the merged points."""
-    voxel: float | None = 0.025
-    """Edge of the grid in whose cells points are averaged [m]; None to keep all."""
-    noise: float = 0.0
-    """Standard deviation added to every coordinate of the cloud [m]."""
-    errors: DepthNoise | None = None
-    """Of every camera; None: it measures perfectly."""
-    materials: MaterialShares = field(default_factory=MaterialShares)
-    """What objects are made of, which matters to errors."""
-    points: int | None = None
-    """Size of the cloud, drawn at random, repeated when there are fewer; None for what there is.
-
-    Models that take the neighbours of lowest index need points in random order, which they always are.
-    """
+    cameras: tuple[Camera, ...] = field(default_factory=published_cameras)
+    obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
+    crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
+    voxel: float | None = 0.025  # [m] edge of the grid in whose cells points are averaged; None: no averaging
+    noise: float = 0.0  # [m] standard deviation added to every coordinate of the cloud
+    errors: DepthNoise | None = None  # of every camera; None: it measures perfectly
+    materials: MaterialShares = field(default_factory=MaterialShares)  # of the objects, for the errors
+    points: int | None = None  # size of the cloud, drawn at random, repeated if there are fewer; None: all
 
     def __post_init__(self) -> None:
         if self.voxel is not None and not self.voxel > 0.0:
@@ -67,32 +51,26 @@ class CameraSettings:
         the whole ball of the crop, and no floor. What none of them sees (inside closed cabinets) stays unseen;
         training clouds show it.
         """
-        crop = BallCrop()
-        return cls(
-            cameras=cameras_on_sphere((45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre),
-            lens=Lens(vertical_fov=70.0, near=0.1),
-            obstacles_only=True,
-            crop=crop,
-            noise=noise,
-            points=points,
-        )
+        lens, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
+        cameras = cameras_on_sphere(lens, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre)
+        return cls(cameras=cameras, obstacles_only=True, crop=crop, noise=noise, points=points)
 
 
 def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] that the cameras see of a scene, in random order.
-
-    Empty when they see nothing.
+    """Points (m, 3) [m, robot base frame] that cameras see of a scene, in random order; empty: they see nothing.
 
     Raises
     ------
-    InvalidInputError
-        If the scene has an object that is a point cloud already.
+    InvalidInputError: the scene has an object that is a point cloud already.
     """
     return thinned(visible_points(scene, settings, rng), settings, rng)
 
 
 def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise (m, 3)."""
+    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise (m, 3).
+
+    The order is random because the point encoder takes the neighbours of lowest index.
+    """
     if settings.voxel is not None:
         points = voxel_means(points, settings.voxel)
     points = points[rng.permutation(len(points))]
@@ -113,7 +91,7 @@ def visible_points(scene: Scene, settings: CameraSettings, rng: np.random.Genera
 def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> list[View]:
     """What each camera sees of a scene, with its errors; materials are the same for all."""
     solids = solids_of(scene.obstacles if settings.obstacles_only else scene.objects)
-    views = [view_of(solids, camera, settings.lens) for camera in settings.cameras]
+    views = [view_of(solids, camera) for camera in settings.cameras]
     if settings.errors is None:
         return views
     materials = settings.materials.drawn(len(solids), rng)
@@ -133,7 +111,7 @@ def _solid(item: SceneObject) -> Solid:
         case Sphere(radius):
             return Ball(T, radius)
         case Cylinder(radius, height):
-            return Drum(T, radius, 0.5 * height)
+            return SolidCylinder(T, radius, 0.5 * height)
         case ConvexMesh(vertices):
             return Polytope(T, _faces(vertices), vertices)
     raise InvalidInputError(
@@ -161,25 +139,3 @@ def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
         shape = ConvexMesh(piece.vertices)
         objects.append(SceneObject(f"robot/{piece.name}", shape, T_world_link @ piece.T_link_geometry))
     return tuple(objects)
-
-
-# What virtual cameras saw, in the files that a lab's cameras give: a 16-bit image, intrinsics and extrinsics.
-class CaptureFiles(NamedTuple):
-    """The files of one camera, in the order that `read_capture` takes them."""
-
-    image: Path
-    """Depths, 16-bit PNG [mm]."""
-    intrinsics: Path
-    """Json of a `Pinhole`."""
-    extrinsics: Path
-    """Json of T_world_camera."""
-
-
-def write_view(view: View, folder: Path, name: str) -> CaptureFiles:
-    """Write what a camera saw as ``name.png``, ``name.intrinsics.json`` and ``name.extrinsics.json``."""
-    files = CaptureFiles(*(folder / f"{name}.{end}" for end in ("png", "intrinsics.json", "extrinsics.json")))
-    write_depth(files.image, view.depth)
-    write_text(files.intrinsics, json.dumps(to_plain(Pinhole.of(view.lens)), indent=1) + "\n")
-    pose = {"T_world_camera": view.camera.T_world_camera.tolist()}
-    write_text(files.extrinsics, json.dumps(pose, indent=1) + "\n")
-    return files

@@ -8,20 +8,20 @@ from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
-from cvqmpt_lab.sensing.render import Ball, Cuboid, Drum, Solid, view_of
+from cvqmpt_lab.sensing.render import Ball, Cuboid, Solid, SolidCylinder, view_of
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.vqmpt.config import require_sizes
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 SOLIDS = (  # by the kind of a shape
     lambda T, size: Cuboid(T, 0.5 * size),
-    lambda T, size: Drum(T, size[0], 0.5 * size[2]),
+    lambda T, size: SolidCylinder(T, size[0], 0.5 * size[2]),
     lambda T, size: Ball(T, size[0]),
 )
 # The evaluation camera's range with a sixteenth of its pixels, which still are more than a cloud's points.
-SMALL = Lens(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
+SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
 ROUNDS = 6  # of drawing points, at most
 MARGIN = 1e-4  # [m] points this close to another shape's surface still lie outside it
 
@@ -113,8 +113,7 @@ def measured_points(
     materials = MaterialShares().drawn(len(solids), rng)
     seen = []
     for eye in eyes:
-        x, y, z = map(float, eye)
-        view = view_of(solids, DepthCamera((x, y, z), tuple(target)), SMALL)
+        view = view_of(solids, Camera(SMALL, look_at(eye, target)))
         seen.append(measured(view, solids, materials, DepthNoise(), rng).points)
     points = np.concatenate(seen)
     return points[rng.permutation(len(points))].astype(np.float32)

@@ -28,8 +28,8 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.sensing.calibration import Calibration, calibrate
-from cvqmpt_lab.sensing.camera import KINECT, DepthCamera, Lens, cameras_on_sphere
-from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
+from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, lonely, near_robot
 from cvqmpt_lab.sensing.icp import small_motions
 from cvqmpt_lab.sensing.noise import DepthNoise
@@ -42,7 +42,6 @@ from cvqmpt_lab.sensing.virtual import (
     camera_cloud,
     solids_of,
     views_of,
-    write_view,
 )
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from experiments.bench.measurement import CpuTimes, Measurement
@@ -56,7 +55,9 @@ BINS = 10  # of predicted probability
 AROUND = CameraSettings.like_training(POINTS_SEEN)
 TWO_NOISY = replace(
     AROUND,
-    cameras=cameras_on_sphere((45.0, -135.0), (40.0,), centre=BallCrop().centre),
+    cameras=cameras_on_sphere(
+        Intrinsics.from_fov(vertical_fov=70.0, near=0.1), (45.0, -135.0), (40.0,), centre=BallCrop().centre
+    ),
     noise=0.0,
     errors=DepthNoise(),
 )
@@ -69,8 +70,8 @@ BENCH = (
     SceneObject("table", Box((0.8, 1.4, 0.04)), pose((0.65, 0.0, -0.05))),
     SceneObject("post", Box((0.08, 0.08, 0.6)), pose((0.6, 0.1, 0.27))),
 )
-LENS = Lens(width=640, height=576, vertical_fov=65.0, near=0.2)
-EYE = DepthCamera((-0.3, 0.5, 1.3), (0.55, 0.0, 0.0))
+LENS = Intrinsics.from_fov(width=640, height=576, vertical_fov=65.0, near=0.2)
+CAMERA = Camera(LENS, look_at((-0.3, 0.5, 1.3), (0.55, 0.0, 0.0)))
 
 GUESS = 0.1, 10.0  # [m], [deg] that guesses are wrong at most
 PROMISED = 5.0, 0.5  # [mm], [deg]
@@ -152,7 +153,7 @@ def bench_scan() -> Iterator[Measurement]:
     with TemporaryDirectory() as name:
         million = Path(name) / "million.pcd"
         write_cloud(million, points)
-        view = view_of(solids_of((*BENCH, *arm_objects(robot, START))), EYE, LENS)
+        view = view_of(solids_of((*BENCH, *arm_objects(robot, START))), CAMERA)
         files = write_view(view, Path(name), "depth")
         capture = read_capture(*files)
         seen = scan([capture], all_points, rng).points
@@ -205,11 +206,9 @@ def arm_scan(robot: Robot, seed: int) -> ArmScan:
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(np.radians(15.0), np.radians(60.0))
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     towards = np.cos(elevation) * level + (0.0, 0.0, np.sin(elevation))
-    x, y, z = (target + rng.uniform(1.2, 2.0) * towards).tolist()
-    camera = DepthCamera((x, y, z), tuple(target.tolist()))
-    settings = CameraSettings(cameras=(camera,), lens=KINECT, errors=DepthNoise())
+    T = look_at(target + rng.uniform(1.2, 2.0) * towards, target)
+    settings = CameraSettings(cameras=(Camera(KINECT, T),), errors=DepthNoise())
     (view,) = views_of(Scene("scan", (*objects, *arm_objects(robot, q))), settings, rng)
-    T = camera.T_world_camera
     wrong = np.concatenate([_in_ball(rng, np.radians(GUESS[1])), _in_ball(rng, GUESS[0])])
     points = (view.points - T[:3, 3]) @ T[:3, :3]
     return ArmScan(points, T, T @ small_motions(wrong[None])[0], Arm(robot, q))

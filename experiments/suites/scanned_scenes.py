@@ -16,7 +16,7 @@ from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.sensing.camera import DepthCamera
+from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from experiments.suites.family_task import PANDA, blocked_pair
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, UnsolvableProblem
 
@@ -38,7 +38,7 @@ class ScannedScene:
 
     truth: PlanningProblem
     """With its start and its only goal."""
-    cameras: tuple[DepthCamera, ...]
+    cameras: tuple[Camera, ...]
     """As many as there are `STANDS`; the first ones are used."""
 
 
@@ -77,10 +77,9 @@ def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
     return Scene(f"kitchen_clutter_{number}", scene.objects)
 
 
-def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Generator) -> DepthCamera:
+def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Generator) -> Camera:
     azimuth, elevation = (np.radians(rng.uniform(*span)) for span in stand)
     target = np.add(TARGET, rng.uniform(-TARGET_SPREAD, TARGET_SPREAD, 3))
     flat = np.cos(elevation)
     away = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
-    x, y, z = map(float, target + rng.uniform(*DISTANCE) * away)
-    return DepthCamera((x, y, z), (float(target[0]), float(target[1]), float(target[2])))
+    return Camera(KINECT, look_at(target + rng.uniform(*DISTANCE) * away, target))

@@ -16,14 +16,13 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.sensing.camera import KINECT
-from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.render import View
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, scan
-from cvqmpt_lab.sensing.virtual import CameraSettings, CaptureFiles, arm_objects, views_of, write_view
+from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.scanned_scenes import ScannedScene, scanned_scene
 
@@ -94,14 +93,13 @@ def sensor_problem(number: int, sensing: Sensing | None = None) -> SensedProblem
     return SensedProblem(problem, scanned.truth.scene, seconds)
 
 
-def _images(scanned: ScannedScene, sensing: Sensing, folder: Path) -> list[CaptureFiles]:
+def _images(scanned: ScannedScene, sensing: Sensing, folder: Path) -> list[tuple[Path, Path, Path]]:
     """What the cameras measure of the scene with the arm at the start, written to files."""
     truth = scanned.truth
     rng = np.random.default_rng([int(truth.name), 13])
     world = truth.scene.with_objects(*arm_objects(truth.robot, truth.start))
-    settings = CameraSettings(
-        cameras=scanned.cameras[: sensing.cameras], lens=KINECT, errors=DepthNoise().times(sensing.noise)
-    )
+    errors = DepthNoise().times(sensing.noise)
+    settings = CameraSettings(cameras=scanned.cameras[: sensing.cameras], errors=errors)
     views = views_of(world, settings, rng)
     if sensing.pixels is not None:
         views = [_thinned(view, sensing.pixels // len(views), rng) for view in views]
@@ -117,7 +115,9 @@ def _thinned(view: View, pixels: int, rng: np.random.Generator) -> View:
     return replace(view, depth=depth.reshape(view.depth.shape))
 
 
-def _in_map(truth: PlanningProblem, files: list[CaptureFiles], sensing: Sensing) -> PlanningProblem:
+def _in_map(
+    truth: PlanningProblem, files: list[tuple[Path, Path, Path]], sensing: Sensing
+) -> PlanningProblem:
     """The problem in a map of what the files say."""
     captures = [read_capture(*each) for each in files]
     settings = ScanSettings(crop=REACH, voxel=0.5 * sensing.resolution, neighbours=NEIGHBOURS)

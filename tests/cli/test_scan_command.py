@@ -14,14 +14,15 @@ from cvqmpt_lab.scene.cloud_files import read_cloud, write_cloud
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
+from cvqmpt_lab.sensing.depth import write_view
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.render import view_of
-from cvqmpt_lab.sensing.virtual import arm_objects, solids_of, write_view
+from cvqmpt_lab.sensing.virtual import arm_objects, solids_of
 
 START, GOAL = "-0.9,0.3,0,-2.0,0,2.3,0.8", "0.9,0.3,0,-2.0,0,2.3,0.8"
-LENS = Lens(width=160, height=120, vertical_fov=60.0, near=0.2)
-EYE = DepthCamera((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0))
+LENS = Intrinsics.from_fov(width=160, height=120, vertical_fov=60.0, near=0.2)
+CAMERA = Camera(LENS, look_at((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0)))
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +33,9 @@ def folder(tmp_path_factory, panda):
         SceneObject("table", Box((0.8, 1.4, 0.04)), pose((0.7, 0.0, -0.02))),
         SceneObject("post", Box((0.08, 0.08, 0.5)), pose((0.62, 0.0, 0.25))),
     )
-    view = view_of(solids_of((*objects, *arm_objects(panda, np.fromstring(START, sep=",")))), EYE, LENS)
+    view = view_of(solids_of((*objects, *arm_objects(panda, np.fromstring(START, sep=",")))), CAMERA)
     write_view(view, folder, "depth")
-    T = EYE.T_world_camera
+    T = CAMERA.T_world_camera
     write_cloud(folder / "cloud.ply", (view.points - T[:3, 3]) @ T[:3, :3])
     return folder
 

@@ -16,7 +16,7 @@ from cvqmpt_lab.planning.direct_motion import direct_motion
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.codebook import robot_signature
@@ -224,7 +224,9 @@ def test_direct_motions_are_checked_paths_or_nothing(tuning, solution):
 
 
 def test_observers_remember_scenes_by_content(tuning):
-    camera = CameraSettings(cameras=(DepthCamera((-2.0, 0.0, 1.0)),), lens=Lens(width=32, height=32))
+    camera = CameraSettings(
+        cameras=(Camera(Intrinsics.from_fov(width=32, height=32), look_at((-2.0, 0.0, 1.0))),)
+    )
     observer = Observer(camera, scenes=1)
     cloud = observer(tuning)
     assert len(cloud) > 20 and not cloud.flags.writeable

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.sensing.camera_files import Pinhole, read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 
 PLAIN = {"width": 640, "height": 480, "fx": 525.0, "fy": 526.0, "cx": 319.5, "cy": 239.5}
 K = [525.0, 0.0, 319.5, 0.0, 526.0, 239.5, 0.0, 0.0, 1.0]
@@ -37,7 +37,7 @@ INTRINSICS = {
 @pytest.mark.parametrize("name", INTRINSICS)
 def test_intrinsics_are_read_as_calibrations_write_them(name, tmp_path):
     (tmp_path / name).write_text(INTRINSICS[name])
-    assert read_intrinsics(tmp_path / name) == Pinhole(**PLAIN)
+    assert vars(read_intrinsics(tmp_path / name)).items() >= PLAIN.items()
 
 
 BAD_INTRINSICS = {

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.sensing.camera_files import Pinhole
+from cvqmpt_lab.sensing.camera import Intrinsics
 from cvqmpt_lab.sensing.depth import deprojected, read_capture, write_depth
 
 
@@ -41,7 +41,7 @@ def test_depth_in_metres_may_stand_in_an_array(files):
 
 
 def test_pixels_without_depth_stay_holes_of_the_organised_cloud():
-    camera = Pinhole(3, 2, 100.0, 120.0, 1.0, 0.5)
+    camera = Intrinsics(3, 2, 100.0, 120.0, 1.0, 0.5)
     cloud = deprojected(np.array([[1.0, np.nan, 2.0], [1.0, 1.0, 1.0]]), camera)
     assert cloud.shape == (2, 3, 3) and np.isnan(cloud[0, 1]).all()
     np.testing.assert_allclose(cloud[0, 2], [2.0 * (2 - 1) / 100, 2.0 * (0 - 0.5) / 120, 2.0])

@@ -9,12 +9,12 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.camera import KINECT, DepthCamera
+from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.noise import DepthNoise, Materials, MaterialShares, measured
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.virtual import solids_of
 
-CAMERA = DepthCamera((-1.0, 0.0, 0.0))
+CAMERA = Camera(KINECT, look_at((-1.0, 0.0, 0.0)))
 AXIAL = DepthNoise(
     lateral=0.0, offset=0.0, scale=0.0, multipath=0.0, edge_lost=0.0, edge_flying=0.0, quantum=0.0
 )
@@ -32,7 +32,7 @@ def of_one(reflectivity, gloss=0.0):
 
 def seen(solids, material, noise=AXIAL, seed=0):
     """The middle of the picture, with its true depths and those measured."""
-    view = view_of(solids, CAMERA, KINECT)
+    view = view_of(solids, CAMERA)
     found = measured(view, solids, material, noise, np.random.default_rng(seed))
     middle = slice(134, 154), slice(140, 180)
     return view.depth[middle], found.depth[middle]
@@ -72,7 +72,7 @@ def test_what_sends_little_light_back_has_no_depth(solids, material, share):
 def test_flying_pixels_lie_between_the_surfaces_and_only_at_edges():
     front, back = plate(1.0, size=0.3)[0], plate(2.0)[0]
     solids, material = [front, back], Materials(np.full(2, 0.8), np.zeros(2))
-    view = view_of(solids, CAMERA, KINECT)
+    view = view_of(solids, CAMERA)
     found = measured(view, solids, material, DepthNoise(quantum=0.0), np.random.default_rng(0))
     between = (found.depth > 1.1) & (found.depth < 1.9)
     lost = np.isinf(found.depth)

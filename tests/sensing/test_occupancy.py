@@ -13,7 +13,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
-from cvqmpt_lab.sensing.camera import DepthCamera, Lens
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.scan import Arm
@@ -107,7 +107,8 @@ def truth():
 def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth):
     """Planned over what one camera saw; the same path is then judged in the scene as it is."""
     camera = CameraSettings(
-        cameras=(DepthCamera((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2)),), lens=Lens(near=0.1), voxel=None
+        cameras=(Camera(Intrinsics.from_fov(near=0.1), look_at((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2))),),
+        voxel=None,
     )
     points = visible_points(truth, camera, np.random.default_rng(0))
     scanned = occupancy_map(points, MapSettings(padding=0.01))

@@ -7,7 +7,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
-from cvqmpt_lab.sensing.camera import KINECT, DepthCamera, Lens, cameras_on_sphere
+from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.render import NOTHING, incidence, view_of
 from cvqmpt_lab.sensing.virtual import solids_of
 
@@ -54,17 +54,20 @@ def holds(item, points):
     return np.abs(local).sum(1) <= 0.2  # the octahedron
 
 
-def depth_image(scene, camera, lens):
-    return view_of(solids_of(scene.objects), camera, lens).depth
+def camera_at(eye, target=(0.0, 0.0, 0.0), **lens):
+    return Camera(Intrinsics.from_fov(**lens), look_at(eye, target))
 
 
-def marched(scene, camera, lens, row, column, step=0.0005):
-    """Depth at one pixel, by walking along its ray."""
-    tall = np.tan(np.radians(lens.vertical_fov) / 2)
+def depth_image(scene, camera):
+    return view_of(solids_of(scene.objects), camera).depth
+
+
+def marched(scene, eye, lens, row, column, step=0.0005):
+    """Depth at one pixel of a camera at eye that looks at the origin, 45 deg high, by walking along its ray."""
+    tall = np.tan(np.radians(22.5))
     x = ((column + 0.5) / lens.width * 2 - 1) * tall * lens.width / lens.height
     y = (1 - (row + 0.5) / lens.height * 2) * tall
-    eye, ahead = np.array(camera.eye), np.subtract(camera.target, camera.eye)
-    ahead = ahead / np.linalg.norm(ahead)
+    ahead = -np.array(eye) / np.linalg.norm(eye)
     right = np.cross(ahead, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     t = np.arange(0.0, lens.far, step)
@@ -80,14 +83,14 @@ def marched(scene, camera, lens, row, column, step=0.0005):
 
 @pytest.mark.parametrize("eye", [(-2.0, 0.3, 0.4), (-0.6, -1.5, 1.2), (-1.0, 0.4, -1.3)], ids=str)
 def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
-    camera, lens = DepthCamera(eye), Lens(width=40, height=30, near=0.5, far=4.0)
-    depth = depth_image(mixed, camera, lens)
+    camera = camera_at(eye, width=40, height=30, near=0.5, far=4.0)
+    depth = depth_image(mixed, camera)
     assert depth.shape == (30, 40)
     rng = np.random.default_rng(0)
     pixels = [
         (int(r), int(c)) for r, c in zip(rng.integers(0, 30, 150), rng.integers(0, 40, 150), strict=True)
     ]
-    expected = np.array([marched(mixed, camera, lens, *pixel) for pixel in pixels])
+    expected = np.array([marched(mixed, eye, camera.intrinsics, *pixel) for pixel in pixels])
     found = np.array([depth[pixel] for pixel in pixels])
     grazing = np.isfinite(expected) != np.isfinite(found)
     grazing |= (
@@ -99,24 +102,23 @@ def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
 
 def test_every_object_is_seen_alone_as_among_others(mixed):
     """The nearest of single pictures, each culled to its own rectangle, is the picture of all."""
-    camera, lens = DepthCamera((-2.0, 0.3, 0.4)), Lens(width=60, height=60, near=0.2)
-    alone = [depth_image(Scene("one", (item,)), camera, lens) for item in mixed]
-    np.testing.assert_array_equal(np.min(alone, axis=0), depth_image(mixed, camera, lens))
+    camera = camera_at((-2.0, 0.3, 0.4), width=60, height=60, near=0.2)
+    alone = [depth_image(Scene("one", (item,)), camera) for item in mixed]
+    np.testing.assert_array_equal(np.min(alone, axis=0), depth_image(mixed, camera))
     seen = {item.name for item, depth in zip(mixed, alone, strict=True) if np.isfinite(depth).any()}
     assert seen == {*mixed.names}
-    farther = depth_image(mixed, camera, Lens(width=60, height=60, near=0.5))
-    assert (farther >= depth_image(mixed, camera, lens)).all()
+    farther = depth_image(mixed, camera_at((-2.0, 0.3, 0.4), width=60, height=60, near=0.5))
+    assert (farther >= depth_image(mixed, camera)).all()
 
 
 def test_a_camera_looks_through_what_it_stands_in():
     ground = SceneObject("ground", Box((9.0, 9.0, 2.0)), pose((0.0, 0.0, -1.5)), obstacle=False)
     ball = SceneObject("ball", Sphere(0.2), pose((0.0, 0.0, 0.0)))
-    below, above = cameras_on_sphere((0.0,), (-60.0, 60.0))
-    lens = Lens(width=50, height=50)
+    below, above = cameras_on_sphere(Intrinsics.from_fov(50, 50), (0.0,), (-60.0, 60.0))
     scene = Scene("s", (ground, ball))
-    assert np.isfinite(depth_image(scene, above, lens)).all()
-    only_ball = depth_image(Scene("b", (ball,)), below, lens)
-    np.testing.assert_array_equal(depth_image(scene, below, lens), only_ball)
+    assert np.isfinite(depth_image(scene, above)).all()
+    only_ball = depth_image(Scene("b", (ball,)), below)
+    np.testing.assert_array_equal(depth_image(scene, below), only_ball)
     assert only_ball.min() == pytest.approx(
         1.8, abs=2e-3
     )  # the ball's pole, next to the middle of the picture
@@ -124,10 +126,10 @@ def test_a_camera_looks_through_what_it_stands_in():
 
 def test_normals_are_those_of_a_finite_difference_of_the_depth(mixed):
     """Where neighbouring pixels see the same solid, the depths' slopes give the same angle."""
-    camera, lens = DepthCamera((-2.0, 0.3, 0.4)), Lens(width=300, height=300, near=0.5, far=4.0)
+    camera = camera_at((-2.0, 0.3, 0.4), width=300, height=300, near=0.5, far=4.0)
     solids = solids_of(mixed.objects)
-    view = view_of(solids, camera, lens)
-    rays = lens.rays(camera)
+    view = view_of(solids, camera)
+    rays = camera.rays()
     points = camera.eye + np.where(np.isfinite(view.depth), view.depth, 1.0)[..., None] * rays
     across, along = points[1:-1, 2:] - points[1:-1, :-2], points[:-2, 1:-1] - points[2:, 1:-1]
     slope = np.cross(across, along)
@@ -143,8 +145,8 @@ def test_normals_are_those_of_a_finite_difference_of_the_depth(mixed):
 
 
 def test_points_lie_where_a_pinhole_camera_puts_them(mixed):
-    camera = DepthCamera((-1.4, 0.8, 0.9), (0.1, 0.0, 0.2))
-    view = view_of(solids_of(mixed.objects), camera, KINECT)
+    camera = Camera(KINECT, look_at((-1.4, 0.8, 0.9), (0.1, 0.0, 0.2)))
+    view = view_of(solids_of(mixed.objects), camera)
     rows, columns = np.nonzero(np.isfinite(view.depth))
     z, focal = view.depth[rows, columns], 0.5 * 288 / np.tan(np.radians(0.5 * 65.0))
     seen = np.stack([(columns - 159.5) * z / focal, (rows - 143.5) * z / focal, z], axis=1)
@@ -156,18 +158,19 @@ def test_points_lie_where_a_pinhole_camera_puts_them(mixed):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: DepthCamera((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
-        (lambda: Lens(width=0), "image of 0 x 224 pixels"),
-        (lambda: Lens(vertical_fov=180.0), "an angle between 0 and 180"),
-        (lambda: Lens(near=2.0, far=1.0), "give 0 < near < far"),
+        (lambda: look_at((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
+        (lambda: Intrinsics.from_fov(width=0), "width is 0"),
+        (lambda: Intrinsics.from_fov(height=0), "height is 0"),
+        (lambda: Intrinsics.from_fov(vertical_fov=180.0), "give one between 0 and 180"),
+        (lambda: Intrinsics.from_fov(near=2.0, far=1.0), "give 0 <= near < far"),
     ],
 )
-def test_cameras_and_lenses_are_checked(make, message):
+def test_cameras_are_checked(make, message):
     with pytest.raises(InvalidInputError, match=message):
         make()
 
 
 def test_a_camera_may_look_straight_down():
     scene = Scene("s", (SceneObject("box", Box((0.4, 0.4, 0.4)), np.eye(4)),))
-    depth = depth_image(scene, DepthCamera((0.0, 0.0, 2.0)), Lens(width=9, height=9))
+    depth = depth_image(scene, camera_at((0.0, 0.0, 2.0), width=9, height=9))
     assert depth[4, 4] == pytest.approx(1.8)

@@ -14,8 +14,8 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene, random_scene
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, PointCloud, Sphere
-from cvqmpt_lab.sensing.camera import KINECT, DepthCamera, cameras_on_sphere
-from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.camera import KINECT, Camera, cameras_on_sphere, look_at
+from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.virtual import (
@@ -24,7 +24,6 @@ from cvqmpt_lab.sensing.virtual import (
     camera_cloud,
     solids_of,
     visible_points,
-    write_view,
 )
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, sample_cloud
@@ -33,7 +32,7 @@ from experiments.labels.labelled_scenes import SHAPES
 
 def test_a_written_view_is_read_back_to_half_a_millimetre(tmp_path):
     box = SceneObject("box", Box((0.6, 0.8, 0.4)), pose((0.3, -0.1, 0.2), 0.4))
-    view = view_of(solids_of([box]), DepthCamera((-0.9, 0.7, 1.1), (0.2, 0.0, 0.3)), KINECT)
+    view = view_of(solids_of([box]), Camera(KINECT, look_at((-0.9, 0.7, 1.1), (0.2, 0.0, 0.3))))
     files = write_view(view, tmp_path, "front")
     assert {path.name for path in files} == {path.name for path in tmp_path.iterdir()}
     capture = read_capture(*files)
@@ -154,8 +153,8 @@ def test_the_arm_is_seen_where_it_stands():
     q = np.array([0.3, -0.5, 0.2, -1.9, 0.1, 1.7, 0.4])
     moving = [piece.link > 0 for piece in robot.links]  # the checker never pairs the base with obstacles
     objects = tuple(compress(arm_objects(robot, q), moving))
-    camera = cameras_on_sphere((30.0,), (25.0,), centre=(0.0, 0.0, 0.4))
-    settings = CameraSettings(cameras=camera, lens=KINECT, crop=BallCrop(radius=9.0), voxel=None)
+    camera = cameras_on_sphere(KINECT, (30.0,), (25.0,), centre=(0.0, 0.0, 0.4))
+    settings = CameraSettings(cameras=camera, crop=BallCrop(radius=9.0), voxel=None)
     cloud = camera_cloud(Scene("arm", objects), settings, np.random.default_rng(0))
     assert 1500 < len(cloud) < 2500
     towards = camera[0].eye - cloud[:40]

@@ -11,7 +11,7 @@ from training_data import LOWER, UPPER, kinematics, write_dataset
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.families import random_scene
-from cvqmpt_lab.sensing.camera import KINECT, DepthCamera
+from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
@@ -185,8 +185,8 @@ def test_measured_clouds_are_those_of_evaluation_cameras():
     shapes = Shapes(np.array(kinds, np.uint8), np.array(sizes, np.float32), np.array(poses, np.float32))
     eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
     ours = measured_points(shapes, eyes, np.array(settings.crop.centre), np.random.default_rng(0))
-    cameras = tuple(DepthCamera(tuple(eye), settings.crop.centre) for eye in eyes)
-    seen = CameraSettings(cameras=cameras, lens=KINECT, crop=BallCrop(radius=9.0), errors=DepthNoise())
+    cameras = tuple(Camera(KINECT, look_at(eye, settings.crop.centre)) for eye in eyes)
+    seen = CameraSettings(cameras=cameras, crop=BallCrop(radius=9.0), errors=DepthNoise())
     theirs = visible_points(scene, seen, np.random.default_rng(1))
     for some, others in ((ours, theirs), (theirs, ours)):
         assert np.median(cKDTree(others).query(some)[0]) < 0.02
