@@ -11,7 +11,7 @@ from cvqmpt_lab.errors import UnknownChoiceError, torch_installed
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
 from cvqmpt_lab.planning.space import BACKENDS
 from cvqmpt_lab.robot.source import ARMS
-from experiments.suites.table import SUITES
+from experiments.suites.suite import SUITES
 
 EXAMPLES = (
     "cvqmpt completion bash > ~/.local/share/bash-completion/completions/cvqmpt",

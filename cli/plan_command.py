@@ -24,7 +24,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
-from experiments.suites.table import SUITES, suite_named
+from experiments.suites.suite import SUITES, suite_named
 
 EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",

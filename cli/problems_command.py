@@ -12,8 +12,8 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor import SensedProblem
-from experiments.suites.table import SUITES, suite_named
+from experiments.suites.sensor_task import SensedProblem
+from experiments.suites.suite import SUITES, suite_named
 
 EXAMPLES = (
     "cvqmpt problems list place-task --problems 5",

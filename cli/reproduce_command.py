@@ -12,7 +12,7 @@ from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import PROFILES
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
-from experiments.suites.table import SUITES, suite_named
+from experiments.suites.suite import SUITES, suite_named
 
 ALL = "all"
 EXAMPLES = (

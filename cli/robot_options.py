@@ -14,7 +14,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.tasks.task import Task
-from experiments.suites.table import SUITES, suite_named
+from experiments.suites.suite import SUITES, suite_named
 
 
 def add_robot(parser: argparse.ArgumentParser, title: str) -> None:

@@ -7,7 +7,7 @@ from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
 from cvqmpt_lab.planning.result import Budget
 from experiments.run import Experiment
-from experiments.suites.table import SUITES
+from experiments.suites.suite import SUITES
 
 CONTROLS_FOLDER = "controls"
 CONTROLLED = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", *CONTROLS)

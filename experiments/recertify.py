@@ -15,8 +15,8 @@ from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sort
 from cvqmpt_lab.results.store import PARTIAL_FILE, KeptPaths
 from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
-from experiments.suites.sensor import SensedProblem
-from experiments.suites.table import suite_named
+from experiments.suites.sensor_task import SensedProblem
+from experiments.suites.suite import suite_named
 
 LENGTH_TOLERANCE = 1e-9
 """[rad] between the length in a row and that of its path."""

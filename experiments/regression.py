@@ -20,7 +20,7 @@ from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from experiments.rows import Run, result_row
-from experiments.suites.table import suite_named
+from experiments.suites.suite import suite_named
 from paper_tables.paper_numbers import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"

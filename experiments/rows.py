@@ -18,8 +18,8 @@ from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor import SensedProblem
-from experiments.suites.table import suite_named
+from experiments.suites.sensor_task import SensedProblem
+from experiments.suites.suite import suite_named
 
 Item = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 """What a suite is made of."""

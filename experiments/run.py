@@ -23,7 +23,7 @@ from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.rows import Item, Outcome, Run, failed_rows, outcome_of
-from experiments.suites.table import suite_named
+from experiments.suites.suite import suite_named
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 """What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""

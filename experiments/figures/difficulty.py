@@ -19,7 +19,7 @@ from cvqmpt_lab.results.statistics import Interval
 from experiments.figures.drawing import save_figure
 from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
-from experiments.suites.table import suite_named
+from experiments.suites.suite import suite_named
 from paper_tables.measures import RATIOS, REFERENCE, fraction, paired_ratio
 from paper_tables.table import by_planner, rows_of_one_suite
 

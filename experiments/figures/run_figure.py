@@ -21,7 +21,7 @@ from experiments.figures.hand_poses import hand_change, write_hands
 from experiments.figures.histogram import code_changes, write_tables
 from experiments.figures.robustness import draw_robustness
 from experiments.run import weights_of
-from experiments.suites.table import suite_named
+from experiments.suites.suite import suite_named
 
 SUITE = "place-task"
 MODEL = "vq_mpt"

@@ -5,12 +5,15 @@ of the arm. An arm without obstacles gets there by a short search; straight alon
 far as a few tries found such a problem.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.named import Line, Plane
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planning.birrt import BiRRT
 from cvqmpt_lab.planning.direct_motion import direct_motion
@@ -19,26 +22,119 @@ from cvqmpt_lab.planning.query import Query
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.search import search
 from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
-from cvqmpt_lab.scene.scene import Scene
-from experiments.suites.constraint_kinds import KINDS, Kept, held_door
-from experiments.suites.door_task import GRIP
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.scene.shapes import Box
+from experiments.suites.door_task import GRIP, handle_region
 from experiments.suites.family_task import blocked_pair
-from experiments.suites.place_task import UnsolvableProblem
+from experiments.suites.place_task import UnsolvableProblem, carried_can
 
-NAMES = (*KINDS, "door")
 PER_KIND = 20
-PROBLEMS = range(PER_KIND * len(NAMES))
 FIRST_SCENE = 2500  # numbers that no other suite uses
 MOVED = 0.25  # [m] from the hand's start to its goal at least
 DRAWS = 100  # configurations, of which one is free in any scene
 PROJECTED = 600  # configurations, of which start and goal are chosen
 WITHOUT_OBSTACLES = 300  # iterations of a search
 TRIES = 12  # constraints drawn for one whose goals are within reach, none of them straight ahead
+TURN = 0.1  # [rad] that an orientation may be off
+LEVEL = 0.02  # [rad] that a tray may tilt
+EXACT = 0.002  # [m] off a plane, line or arc
+LEVER = (0.15, 0.4)  # [m] from an arc's centre to the hand
+ARC = 2.5  # [rad] of an arc, to either side
+DOORS = ("dagger_door_left", "dagger_door_right")
+AJAR, WIDE = 0.15, 1.5  # [rad] between which a door is moved
+SWUNG = 0.6  # [rad] that it is moved at least
+GRASP_TURN = 0.6  # [rad] that the hand may be turned about the handle, either way
+TRIM = 0.02  # [m] cut off all round a door's panel, which fits its casing to half a millimetre
+TRAY = Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19)))
+
+
+class Kept(NamedTuple):
+    """What a problem asks of the hand."""
+
+    region: TaskSpaceRegion  # where it must stay
+    attachments: tuple[Attachment, ...] = ()  # what it carries
+    start: TaskSpaceRegion | None = None  # where it begins; None: somewhere in its region
+    goal: TaskSpaceRegion | None = None  # where it ends; likewise
+
+
+def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
+    """The hand at the orientation of T (4, 4) but for a turn about its z axis [rad], anywhere."""
+    there = T.copy()
+    there[:3, 3] = 0.0
+    bound = np.array([FREE] * 3 + [TURN] * 2 + [about_z])
+    return TaskSpaceRegion(there, np.eye(4), np.stack([-bound, bound], axis=1))
+
+
+def _arc(T: np.ndarray, rng: np.random.Generator) -> Kept:
+    """About an axis of any direction, the hand turning with it as with a crank."""
+    axis = Line(_direction(rng), (0.0, 0.0, 0.0)).region().T0_w.copy()
+    axis[:3, 3] = T[:3, 3] + rng.uniform(*LEVER) * axis[:3, 0]
+    return Kept(_about(axis, T, ARC))
+
+
+def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
+    """The hand at T (4, 4), carried about the z axis of a frame (4, 4) by at most a turn [rad] to either side."""
+    bound = np.array([EXACT] * 3 + [LEVEL] * 2 + [turn])
+    return TaskSpaceRegion(axis, np.linalg.inv(axis) @ T, np.stack([-bound, bound], axis=1))
+
+
+def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Uniform on the sphere."""
+    x, y, z = rng.standard_normal(3)
+    return float(x), float(y), float(z)
+
+
+KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], Kept]] = {
+    "upright": lambda T, rng: Kept(upright()),
+    "fixed-orientation": lambda T, rng: Kept(_turned_like(T, TURN)),
+    "plane": lambda T, rng: Kept(Plane(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
+    "line": lambda T, rng: Kept(Line(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
+    "arc": _arc,
+    "tray": lambda T, rng: Kept(upright(LEVEL), (TRAY,)),
+    # a can is tipped about the axis along which the fingers reach, which keeps its direction
+    "pouring": lambda T, rng: Kept(_turned_like(T, FREE), (carried_can(),)),
+}
+"""Makers of a constraint that a hand at a pose T (4, 4) meets; the door's, which hangs on the scene, is `held_door`."""
+
+
+def held_door(rng: np.random.Generator) -> tuple[Scene, Kept]:
+    """The kitchen without one of the shelf's doors, which hangs on its hinge and in the hand, held firmly.
+
+    So the door is a thing that an arm of seven joints carries along an arc, and not, as in `door_task`, a joint.
+    """
+    scene, door = kitchen(), str(rng.choice(DOORS))
+    hinge = scene.articulation(door)
+    sign = 1.0 if hinge.upper > 0.0 else -1.0
+    first = rng.uniform(AJAR, WIDE - SWUNG)
+    angles = sign * rng.permutation((first, rng.uniform(first + SWUNG, WIDE)))
+    in_bar = pose((0.0, 0.0, 0.0), rng.uniform(-GRASP_TURN, GRASP_TURN)) @ handle_region().Tw_e
+    hands = [scene.with_joint(door, a)[f"{door}/handle_bar"].T_world_object @ in_bar for a in angles]
+    begun = scene.with_joint(door, angles[0])
+    parts = tuple(_carried(begun, name, hands[0]) for name in hinge.moves)
+    start, goal = (TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2))) for T in hands)
+    kept = _about(hinge.T_world_joint, hands[0], WIDE)
+    return scene.without(*hinge.moves), Kept(kept, parts, start, goal)
+
+
+def _carried(scene: Scene, name: str, T: np.ndarray) -> Attachment:
+    """A part of the door as it is seen from the hand at a pose (4, 4)."""
+    item = scene[name]
+    shape = item.shape
+    if isinstance(shape, Box):
+        thin, wide, high = shape.size
+        shape = Box((thin, wide - 2 * TRIM, high - 2 * TRIM))
+    return Attachment(name.rpartition("/")[2], shape, np.linalg.inv(T) @ item.T_world_object)
+
+
+NAMES = (*KINDS, "door")
+PROBLEMS = range(PER_KIND * len(NAMES))
 
 
 def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
@@ -101,3 +197,6 @@ def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Rob
     drawn = robot.random_configurations(rng, DRAWS)
     free = next((q for q in drawn if not checker.in_collision(q)), drawn[0])
     return scene, robot, KINDS[kind](robot.pose(free), rng)
+
+
+# Kinds of constraints that no model was trained on: what the hand keeps at a pose that it can take, and carries.

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import upright
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.scene.scene import Scene
 from experiments.suites.place_task import UnsolvableProblem
 
 PANDA = {"name": "panda"}
@@ -29,15 +31,22 @@ def family_problem(
     family: str, number: int, robot_source: Mapping[str, Any] = PANDA
 ) -> PlanningProblem | UnsolvableProblem:
     """The problem of one scene: a start and a goal on the manifold, the straight motion between them blocked."""
-    scene = family_scene(family, number)
-    robot = robot_from_source(robot_source)
+    scene, robot = family_scene(family, number), robot_from_source(robot_source)
+    return upright_problem(str(number), robot, scene, np.random.default_rng([number, 7]), CLEAR)
+
+
+def upright_problem(
+    name: str, robot: Robot, scene: Scene, rng: np.random.Generator, clear: float
+) -> PlanningProblem | UnsolvableProblem:
+    """Between a `blocked_pair` of upright states, `clear` [m] from all obstacles."""
     middle = 0.5 * (robot.lower + robot.upper)
-    problem = PlanningProblem(str(number), robot, scene, middle, middle[None], (upright(),))
-    pair = blocked_pair(problem, np.random.default_rng([number, 7]), CLEAR)
+    problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright(),))
+    pair = blocked_pair(problem, rng, clear)
     if pair is None:
-        return UnsolvableProblem(
-            str(number), f"no two upright free states of {scene.name} with a blocked straight motion"
+        reason = (
+            f"no two upright states {clear} m from everything in {scene.name} with a blocked straight motion"
         )
+        return UnsolvableProblem(name, reason)
     return replace(problem, start=pair[0], goals=pair[1][None])
 
 
@@ -62,3 +71,26 @@ def blocked_pair(
         if not (checker.in_collision(start) or checker.in_collision(goal)):
             return start, goal
     return None
+
+
+# Arms beside the Panda: between two random upright hand poses, upright all the way, in scenes of every family.
+ROBOT_PROBLEMS = range(20)
+FIRST_ROBOT_SCENE = 2000  # numbers that no other suite uses
+ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
+ROBOTS: Mapping[str, Mapping[str, Any]] = {
+    "ur5": {"name": "ur5"},
+    "xarm7": {"name": "xarm7"},
+    "tiago": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
+}
+"""6 joints, 7, and 7 on a torso that slides up and down."""
+
+
+def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the goal's pose."""
+    problem = family_problem(
+        ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], FIRST_ROBOT_SCENE + index, ROBOTS[robot]
+    )
+    if isinstance(problem, UnsolvableProblem):
+        return replace(problem, name=str(index))
+    there = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.zeros((6, 2)))
+    return replace(problem, name=str(index), goals=np.empty((0, problem.robot.dof)), goal_region=there)

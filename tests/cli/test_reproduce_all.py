@@ -12,7 +12,7 @@ from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from experiments import everything
 from experiments.everything import PROFILES, Amount, parts
-from experiments.suites.table import SUITES
+from experiments.suites.suite import SUITES
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():

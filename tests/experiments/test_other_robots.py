@@ -7,8 +7,8 @@ from cvqmpt_lab.methods.table import WITHOUT_WEIGHTS
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import check_problem
-from experiments.suites.other_robots import ROBOTS
-from experiments.suites.table import suite_named
+from experiments.suites.family_task import ROBOTS
+from experiments.suites.suite import suite_named
 
 
 @pytest.mark.parametrize(("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)])

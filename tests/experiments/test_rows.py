@@ -16,7 +16,7 @@ from cvqmpt_lab.results.row import FailReason, read_rows
 from experiments.rows import Run, failed_rows, outcome_of, path_hash, result_row
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.table import suite_named
+from experiments.suites.suite import suite_named
 from paper_tables.committed import committed_directories
 
 RUN = Run("suite", 0, "thinking", 0, Budget(iterations=1))

@@ -8,7 +8,7 @@ from made_rows import a_row
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.results.row import write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
-from experiments.suites.table import SUITES
+from experiments.suites.suite import SUITES
 from paper_tables.render import TABLES, render_directory
 
 

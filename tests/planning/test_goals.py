@@ -9,7 +9,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.goals import sample_goals
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.suites.other_robots import other_robot_problem
+from experiments.suites.family_task import other_robot_problem
 from experiments.suites.place_task import place_problem
 
 

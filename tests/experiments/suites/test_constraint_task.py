@@ -6,7 +6,7 @@ import pytest
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.results.row import split_problem
 from experiments.suites.constraint_task import MOVED, NAMES, PROBLEMS, constraint_problem, trivial
-from experiments.suites.table import suite_named
+from experiments.suites.suite import suite_named
 
 ATTACHED = {"tray": ["tray"], "pouring": ["carried_can"]}
 ATTACHED["door"] = ["panel", "handle_bar", "handle_post_lower", "handle_post_upper"]

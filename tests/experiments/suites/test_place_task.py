@@ -22,9 +22,8 @@ from experiments.suites.place_task import (
     grasp_region,
     place_problem,
 )
-from experiments.suites.scanned_scenes import SCENES
-from experiments.suites.sensor_robustness import variants
-from experiments.suites.table import SUITES, Suite, suite_named
+from experiments.suites.sensor_task import SCENES, variants
+from experiments.suites.suite import SUITES, Suite, suite_named
 
 SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
 

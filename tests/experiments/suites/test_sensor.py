@@ -13,10 +13,20 @@ from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
 from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.scanned_scenes import ROOM, SCENES, scanned_scene
-from experiments.suites.sensor import SensedProblem, Sensing, sensor_problem
-from experiments.suites.sensor_robustness import LEVELS, PROBLEMS, robustness_problem, setting, variants
-from experiments.suites.table import suite_named
+from experiments.suites.sensor_task import (
+    LEVELS,
+    ROOM,
+    SCENES,
+    VARIED_PROBLEMS,
+    SensedProblem,
+    Sensing,
+    robustness_problem,
+    scanned_scene,
+    sensor_problem,
+    setting,
+    variants,
+)
+from experiments.suites.suite import suite_named
 
 ENOUGH = Budget(iterations=20_000)
 
@@ -79,7 +89,7 @@ def test_fewer_pixels_and_more_cameras_change_what_is_known():
 
 def test_every_variant_differs_from_the_default_in_one_thing_and_is_named():
     default, *others = variants()
-    assert default == Sensing() and len(PROBLEMS) == len(SCENES) * (1 + len(others))
+    assert default == Sensing() and len(VARIED_PROBLEMS) == len(SCENES) * (1 + len(others))
     words = setting(default).split()
     for other in others:
         assert sum(a != b for a, b in zip(words, setting(other).split(), strict=True)) == 1

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TypeAlias
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import PLANNERS, WITHOUT_WEIGHTS
@@ -17,10 +16,8 @@ from experiments.suites.constraint_task import constraint_problem
 from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
 from experiments.suites.door_task import door_problem
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
-from experiments.suites.family_task import family_problem
+from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, family_problem, other_robot_problem
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
-from experiments.suites.other_robots import PROBLEMS as ROBOT_PROBLEMS
-from experiments.suites.other_robots import ROBOTS, other_robot_problem
 from experiments.suites.place_task import (
     ENVIRONMENTS,
     SINGLE_GOAL_ENVIRONMENTS,
@@ -29,11 +26,14 @@ from experiments.suites.place_task import (
     place_problem,
     single_goal_problem,
 )
-from experiments.suites.scanned_scenes import SCENES
-from experiments.suites.sensor import SensedProblem, sensor_problem
-from experiments.suites.sensor_robustness import PLANNERS as ROBUST_PLANNERS
-from experiments.suites.sensor_robustness import PROBLEMS as VARIED
-from experiments.suites.sensor_robustness import robustness_problem
+from experiments.suites.sensor_task import (
+    SCENES,
+    VARIED_PLANNERS,
+    VARIED_PROBLEMS,
+    SensedProblem,
+    robustness_problem,
+    sensor_problem,
+)
 
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
 """Planners for problems that no shipped weights fit."""
@@ -42,7 +42,7 @@ ZERO_SHOT = tuple(
 )
 """Planners compared under constraints that no model has seen."""
 
-SuiteItem: TypeAlias = PlanningProblem | UnsolvableProblem | SensedProblem | Task
+SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,12 @@ class Suite:
     name: str
     problems: Sequence[int]
     make: Callable[[int], SuiteItem]
-    planners: Sequence[str] = tuple(PLANNERS)
-    """Those that are run unless others are named."""
-    carried: tuple[Attachment, ...] = ()
-    """What the hand is shown with in pictures, where its problems do not model it."""
-    new_scenes: bool = False
-    """Scenes are not known beforehand: every planner pays for all that it makes of a cloud, whoever saw it before."""
-    settings: Mapping[str, object] = field(default_factory=dict)
-    """What else decides its rows, as json values."""
+    planners: Sequence[str] = tuple(PLANNERS)  # run unless others are named
+    carried: tuple[Attachment, ...] = ()  # in the hand in pictures, where its problems do not model it
+    new_scenes: bool = (
+        False  # not known beforehand: every planner computes for itself what it makes of a cloud
+    )
+    settings: Mapping[str, object] = field(default_factory=dict)  # what else decides its rows, as json values
 
     def item(self, index: int) -> SuiteItem:
         """Problem or task `index`; InvalidInputError names the valid range."""
@@ -97,7 +95,7 @@ SUITES: Mapping[str, Suite] = {
             for name in ROBOTS
         ),
         Suite("sensor", SCENES, sensor_problem, new_scenes=True),
-        Suite("sensor-robustness", VARIED, robustness_problem, ROBUST_PLANNERS, new_scenes=True),
+        Suite("sensor-robustness", VARIED_PROBLEMS, robustness_problem, VARIED_PLANNERS, new_scenes=True),
         Suite("multi-sequence", TASKS, multi_sequence_task, settings={"speed": SLOW}),
     )
 }
