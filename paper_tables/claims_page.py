@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
@@ -103,32 +103,12 @@ def page_text(results: Path, root: Path) -> str:
 
 
 def section(item: JudgedClaim, root: Path) -> str:
-    """One claim: verdict, why, evidence, and what makes it."""
+    """One claim: its verdict, every statement against every baseline, and what makes the numbers."""
     parts = [f"## CVQ-MPT {item.claim.title}: {item.verdict}\n"]
     parts += [f"The paper: {item.claim.paper}. {item.claim.remark}\n"]
-    parts += ["".join(f"- {line}\n" for line in reasons(item.verdicts))] if item.verdicts else []
     parts += [markdown_table(statement_lines(item.verdicts))] if item.verdicts else []
     parts += [made_by(evidence, root) for evidence in item.evidence]
     return "\n".join(parts)
-
-
-def reasons(verdicts: Sequence[Verdict]) -> list[str]:
-    """For every statement, against whom it stands and against whom not, naming planners where they differ."""
-    lines = []
-    for text in dict.fromkeys(verdict.statement.text for verdict in verdicts):
-        of_text = [verdict for verdict in verdicts if verdict.statement.text == text]
-        said: dict[str, list[str]] = {}
-        for baseline in dict.fromkeys(verdict.baseline for verdict in of_text):
-            whom = "" if baseline == NOTHING else f"against {baseline}"
-            rulings = {v.statement.planner: v.ruling for v in of_text if v.baseline == baseline}
-            if len(set(rulings.values())) == 1:
-                said.setdefault(next(iter(rulings.values())), []).append(whom)
-            else:
-                for planner, rule in rulings.items():
-                    said.setdefault(rule, []).append(f"{planner} {whom}".strip())
-        told = (f"*{rule}* {', '.join(filter(None, who))}".strip() for rule, who in said.items())
-        lines.append(f"{text}: {'; '.join(told)}")
-    return lines
 
 
 def made_by(evidence: Evidence, root: Path) -> str:
@@ -174,11 +154,6 @@ def yardsticks(evidence: Evidence) -> Lines:
     return lines
 
 
-def box_text(results: Path) -> str:
-    """The short table between its marks."""
-    return f"{BEGIN}\n{markdown_table(box_lines(judged_claims(evidence_below(results))))}{END}"
-
-
 def with_box(text: str, box: str) -> str:
     """A README with its short table replaced; InvalidInputError where it has none."""
     found = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
@@ -193,7 +168,8 @@ def committed_pages() -> dict[Path, str]:
     """The committed page and, in a checkout, the README, as their rows say that they should be."""
     pages = {PAGE: page_text(RESULTS, PAGE.parent)}
     if README.is_file():
-        pages[README] = with_box(read_text(README), box_text(RESULTS))
+        box = markdown_table(box_lines(judged_claims(evidence_below(RESULTS))))
+        pages[README] = with_box(read_text(README), f"{BEGIN}\n{box}{END}")
     return pages
 
 

@@ -10,7 +10,7 @@ from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_r
 from paper_tables import measures, table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import Measure, solved
-from paper_tables.paper_numbers import PublishedValue, notes_on
+from paper_tables.paper_numbers import PublishedValue
 from paper_tables.statements import ABOUT_MULTI_SEQUENCE
 from paper_tables.writers import Lines, number
 
@@ -155,8 +155,6 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
         by_phase += parts
         in_csv += [tasks[-1], *parts]
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
-    shown = {row.planner for row in runs.rows}
-    notes = notes_on(value for value in published if value.planner in shown)
     size = f"{len({name.task for name in names})} tasks"
     suite = runs.rows[0].suite
     sections = {
@@ -167,7 +165,7 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
         "By phase (medians over the runs that reached it)": table.group_lines(by_phase, ["phase"], "n"),
         "Fallbacks": table.count_lines(tasks, "fallbacks"),
         "Failures": table.count_lines(tasks, "failures"),
-        "Notes": [*NOTES, *table.seed_notes(runs), *notes],
+        "Notes": [*NOTES, *table.seed_notes(runs), *table.published_notes(runs, published)],
     }
     caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
     return table.Rendered(

@@ -15,7 +15,7 @@ from paper_tables.measures import (
     SuiteRuns,
     solved,
 )
-from paper_tables.paper_numbers import PublishedValue, notes_on
+from paper_tables.paper_numbers import PublishedValue
 from paper_tables.statements import ABOUT_PLACE_TASK, ABOUT_SENSOR
 from paper_tables.writers import Lines, Sections
 
@@ -108,48 +108,74 @@ METHOD_NOTES = (
     f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are geometric means over problems "
     "that both solved, bootstrap intervals; time includes goal inverse kinematics, which is the same for all.",
 )
+SENSED: Mapping[str, table.Column] = {
+    "certified_in_map": table.Column("certified in the map [%]", "%", measures.share_of(solved)),
+    "free_in_truth": table.Column(
+        "of these free in truth [%]", "%", measures.share_of(lambda row: row.true_free is True, solved)
+    ),
+    "true_clearance_median": table.Column(
+        "clearance in truth [m]", "m", measures.median_of("true_clearance", "stated")
+    ),
+    "sense_median": table.Column("images to map [s]", "s", measures.median_of("sense_time", "stated")),
+    "whole_median": table.Column(
+        "images to certificate [s]", "s", measures.median_of("whole_time", "stated")
+    ),
+}
+"""What only scanned scenes have."""
+SENSED_BRIEF = (
+    *(column._replace(interval=False) for column in BRIEF),
+    table.BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
+)
+SENSED_NOTES = (
+    "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second certificate, in the "
+    "scene that was scanned, Wilson interval over the paths certified in the map.",
+    "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, outliers, and the rest. "
+    "Images to certificate: everything until the path is certified in the map, everything counted. Medians.",
+    "The paper's scenes, starts and goals are not published: its numbers are of other problems, on a real robot.",
+    "Statements compare over problems that both solved, geometric mean; a positive number is less of it.",
+)
 
 
-def place_task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
-    """The rows of one suite; sentences of the paper are judged where its numbers stand beside ours."""
+def place_task_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue], sensed: bool = False
+) -> table.Rendered:
+    """Headlines, what the paper says of them, effort, comparisons, time curve, fallbacks, failures and notes.
+
+    sensed: the scenes were scanned: map and truth come first, and the sentences are those on the paper's robot.
+    """
     runs = table.suite_runs(rows, published)
-    found = table.entries(runs, COLUMNS, published)
-    said = statement_lines(judged(ABOUT_PLACE_TASK, runs.rows, published)) if published else []
-    sections = _sections(runs, found, published, said)
-    return table.Rendered(
-        size=_size(runs),
-        sections=sections,
-        latex=_latex(runs, found),
-        csv=table.csv_of(runs.rows[0].suite, found),
-        brief=table.brief_lines(found, BRIEF),
-    )
-
-
-def _size(runs: SuiteRuns, of: str = "problems") -> str:
-    return f"{len({row.problem for row in runs.rows})} {of}"
-
-
-def _sections(
-    runs: SuiteRuns, found: Sequence[table.Entry], published: Sequence[PublishedValue], said: Lines = ()
-) -> Sections:
-    """Headlines, what the paper says of them, effort, comparisons, time curve, fallbacks, failures and notes."""
-    slowest = max(row.t_total_s or 0.0 for row in runs.rows)
-    curve = list(CURVE)[: sum(time < slowest for time in CURVE_TIMES) + 1]
-    shown = {row.planner for row in runs.rows}
-    return {
-        _size(runs): _headline_lines(found, len(runs.joint)),
-        "What the paper says": said,
+    found = table.entries(runs, {**COLUMNS, **SENSED} if sensed else COLUMNS, published)
+    said = statement_lines(judged(ABOUT_SENSOR if sensed else ABOUT_PLACE_TASK, runs.rows, published))
+    curve = list(CURVE)[
+        : sum(time < max(row.t_total_s or 0.0 for row in runs.rows) for time in CURVE_TIMES) + 1
+    ]
+    suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
+    footnotes = list(_footnotes(runs))
+    sections: Sections = {
+        "In the map and in truth": table.column_lines(found, SENSED) if sensed else [],
+        'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"': said if sensed else [],
+        f"{problems} problems": _headline_lines(found, len(runs.joint)),
+        "What the paper says": said if published and not sensed else [],
         "Effort (medians)": table.column_lines(found, EFFORT),
         "At the paper's cost of work": table.column_lines(found, PAPER_COST),
         f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
         "Solved within a time, % of runs": table.column_lines(found, curve),
         "Fallbacks": table.count_lines(found, "fallbacks"),
         "Failures": table.count_lines(found, "failures"),
-        "Notes": [*METHOD_NOTES, *_footnotes(runs)],
-        "Notes on the paper's numbers (all but accuracy are means)": notes_on(
-            value for value in published if value.planner in shown
-        ),
+        "Notes": [*METHOD_NOTES, *footnotes],
+        "Notes on the paper's numbers (all but accuracy are means)": table.published_notes(runs, published),
+        "Notes on scanned scenes": SENSED_NOTES if sensed else [],
     }
+    caption = f"{suite}, {problems} problems: the paper's values and ours. "
+    return table.Rendered(
+        size=f"{problems} {'scenes' if sensed else 'problems'}",
+        sections=sections,
+        latex=table.latex_planners(
+            caption + " ".join((*METHOD_NOTES[:4], *footnotes)), suite, found, HEADLINES
+        ),
+        csv=table.csv_of(suite, found),
+        brief=table.brief_lines(found, SENSED_BRIEF if sensed else BRIEF),
+    )
 
 
 def _headline_lines(found: Sequence[table.Entry], n_joint: int) -> Lines:
@@ -198,60 +224,3 @@ def _footnotes(runs: SuiteRuns) -> Iterable[str]:
             f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every other planner's "
             "ratios look better on hard problems, and worse on easy ones, than several seeds would show."
         )
-
-
-def _latex(runs: SuiteRuns, found: Sequence[table.Entry]) -> str:
-    suite = runs.rows[0].suite
-    caption = f"{suite}, {_size(runs)}: the paper's values and ours. "
-    caption += " ".join((*METHOD_NOTES[:4], *_footnotes(runs)))
-    return table.latex_planners(caption, suite, found, HEADLINES)
-
-
-# ---------------------------------------------------------------- scanned scenes
-
-SENSED: Mapping[str, table.Column] = {
-    "certified_in_map": table.Column("certified in the map [%]", "%", measures.share_of(solved)),
-    "free_in_truth": table.Column(
-        "of these free in truth [%]", "%", measures.share_of(lambda row: row.true_free is True, solved)
-    ),
-    "true_clearance_median": table.Column(
-        "clearance in truth [m]", "m", measures.median_of("true_clearance", "stated")
-    ),
-    "sense_median": table.Column("images to map [s]", "s", measures.median_of("sense_time", "stated")),
-    "whole_median": table.Column(
-        "images to certificate [s]", "s", measures.median_of("whole_time", "stated")
-    ),
-}
-"""What only scanned scenes have."""
-SENSED_BRIEF = (
-    *(column._replace(interval=False) for column in BRIEF),
-    table.BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
-)
-SENSED_NOTES = (
-    "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second certificate, in the "
-    "scene that was scanned, Wilson interval over the paths certified in the map.",
-    "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, outliers, and the rest. "
-    "Images to certificate: everything until the path is certified in the map, everything counted. Medians.",
-    "The paper's scenes, starts and goals are not published: its numbers are of other problems, on a real robot.",
-    "Statements compare over problems that both solved, geometric mean; a positive number is less of it.",
-)
-
-
-def sensor_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
-    """The same on scanned scenes: map and truth, the paper's robot beside them, the paper's words."""
-    runs = table.suite_runs(rows, published)
-    found = table.entries(runs, {**COLUMNS, **SENSED}, published)
-    said = statement_lines(judged(ABOUT_SENSOR, runs.rows, published))
-    sections = {
-        "In the map and in truth": table.column_lines(found, SENSED),
-        'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"': said,
-        **_sections(runs, found, published),
-        "Notes on scanned scenes": SENSED_NOTES,
-    }
-    return table.Rendered(
-        size=_size(runs, "scenes"),
-        sections=sections,
-        latex=_latex(runs, found),
-        csv=table.csv_of(runs.rows[0].suite, found),
-        brief=table.brief_lines(found, SENSED_BRIEF),
-    )

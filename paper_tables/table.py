@@ -11,7 +11,7 @@ from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_pro
 from cvqmpt_lab.results.statistics import Interval, jointly_solved
 from paper_tables import writers
 from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, split_by_work
-from paper_tables.paper_numbers import PublishedValue
+from paper_tables.paper_numbers import PublishedValue, notes_on
 from paper_tables.writers import Lines, Sections, bounds, csv_text, estimate, latex_table, number, text_lines
 
 CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
@@ -172,6 +172,12 @@ def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
         examples.setdefault(what, []).append(example)
     counts = [Count(what, texts[0], len(texts)) for what, texts in examples.items()]
     return tuple(sorted(counts, key=lambda count: (-count.runs, count.what)))
+
+
+def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> list[str]:
+    """Notes on the paper's numbers of planners that ran."""
+    ran = {row.planner for row in runs.rows}
+    return notes_on(value for value in published if value.planner in ran)
 
 
 def seed_notes(runs: SuiteRuns) -> Iterable[str]:

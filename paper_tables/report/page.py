@@ -2,7 +2,7 @@
 
 import base64
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,10 @@ from paper_tables.writers import Sections
 TEMPLATE = "page.html.j2"
 STYLES = {"holds": "holds", "holds in part": "part", "does not hold here": "not"}  # of verdicts
 PICTURES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
+SHOWN_FACTS = (  # of a session
+    *("command", "git_commit", "git_dirty", "date_utc", "cpu_model", "cpu_count", "platform", "python"),
+    *("weights", "versions"),
+)
 ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "length [rad]", "what")
 MOST_BYTES = 2_000_000  # of a picture that is taken into the page
 
@@ -151,27 +155,20 @@ def _row(row: ResultRow) -> list[object]:
 
 
 def _provenance(evidence: Evidence) -> dict[str, str]:
+    """Every fact of every session."""
     told: dict[str, list[str]] = {}
     for session in sessions(evidence.record):
-        dirty = " with uncommitted changes" if session.get("git_dirty") else ""
-        facts = {
-            "command": shlex.join(session.get("command") or ["unknown"]),
-            "commit": f"{session.get('git_commit') or 'unknown'}{dirty}",
-            "date": session.get("date_utc"),
-            "machine": f"{session.get('cpu_model') or 'unknown'}, {session.get('cpu_count') or '?'} cores, "
-            f"{session.get('platform')}, python {session.get('python')}",
-            "weights": _pairs(session.get("weights", {}).items()),
-            "versions": _pairs((session.get("versions") or {}).items()),
-        }
-        for name, fact in facts.items():
-            if fact:
-                told.setdefault(name, []).append(str(fact))
+        for name, fact in session.items():
+            if name in SHOWN_FACTS and fact:
+                told.setdefault(name.replace("_", " "), []).append(_fact(fact))
     joined = {name: " and ".join(dict.fromkeys(facts)) for name, facts in told.items()}
     return {**joined, "time": wall_clock(evidence)}
 
 
-def _pairs(items: Iterable[tuple[str, str]]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in sorted(items) if value)
+def _fact(fact: object) -> str:
+    if isinstance(fact, Mapping):
+        return ", ".join(f"{name} {value}" for name, value in sorted(fact.items()) if value)
+    return shlex.join(fact) if isinstance(fact, list) else str(fact)
 
 
 def _pictures(folder: Path) -> dict[str, str]:

@@ -12,7 +12,7 @@ from experiments.figures.robustness import draw_robustness
 from paper_tables.constraints_table import constraints_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
-from paper_tables.place_task_table import sensor_table
+from paper_tables.place_task_table import place_task_table
 from paper_tables.robustness_table import levels_of, robustness_table, safe_padding
 
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
@@ -119,7 +119,7 @@ def test_truth_stands_beside_the_map_and_statements_are_judged():
     rows = [scanned("ompl-projected", k, 1.0 + 0.01 * k, 10.0) for k in range(6)]
     rows += [scanned("opt-cvq-mpt", k, 2.0 + 0.03 * k, 7.0 + 0.01 * k, true_free=k > 0) for k in range(6)]
     rows += [a_failure("6", "opt-cvq-mpt", suite="sensor", t_total_s=10.0)]
-    table = sensor_table(rows, read_published("place_task.csv", "Physical robot"))
+    table = place_task_table(rows, read_published("place_task.csv", "Physical robot"), sensed=True)
     truth = {line[0]: line for line in table.sections["In the map and in truth"]}
     assert truth["opt-cvq-mpt"][2].startswith("83.3 [")  # 5 of 6 paths
     verdicts = said(table, 'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"')
