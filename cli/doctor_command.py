@@ -117,7 +117,7 @@ def _weights() -> Iterator[Finding]:
 
 def _kernels() -> Finding:
     try:
-        from cvqmpt_lab.kernels.objects import compiled_before, folder
+        from cvqmpt_lab.jit import compiled_before, folder
     except ImportError as error:
         return Finding(
             "kernels", f"numba cannot be used: {error}", "pip install --force-reinstall numba llvmlite"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.kernels.objects import GROUPS, compiled_before, make_ready
+from cvqmpt_lab.jit import compile_all, compiled_before
 from cvqmpt_lab.kernels.search.tree_growth import plant, remove_child_of_segment
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import planner_named
@@ -39,15 +39,16 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     announce: told beforehand when something is not compiled yet, because that takes about a minute.
     """
     began = time.perf_counter()
-    if not compiled_before(tuple(GROUPS)):
+    if not compiled_before(everything=True):
         from concurrent.futures import ProcessPoolExecutor  # `plan` does without
         from multiprocessing import get_context
 
         announce("compiling kernels, about a minute, once per machine and version ...")
         with ProcessPoolExecutor(1, get_context("spawn")) as helper:
-            others = helper.submit(make_ready, [group for group in GROUPS if group != "plan"])
-            make_ready(("plan",))
+            others = helper.submit(compile_all, 1, 2)
+            compile_all(0, 2)
             others.result()
+        compile_all()
     start, robot = np.array(START), panda()
     pose = TaskSpaceRegion(robot.pose(start), np.eye(4), np.zeros((6, 2)))
     problem = PlanningProblem(

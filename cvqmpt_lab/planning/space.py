@@ -6,8 +6,8 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.jit import check_bundle
 from cvqmpt_lab.kernels.collision.geometry import swing
-from cvqmpt_lab.kernels.entry import check_bundle
 from cvqmpt_lab.kernels.manifold.projection import projection_scratch
 from cvqmpt_lab.kernels.search import space_arrays as kernels
 from cvqmpt_lab.kernels.search.motion import refine_and_check
@@ -133,7 +133,7 @@ class ConstrainedSpace:
         return residual, jacobian
 
     def _require_configuration(self, q: np.ndarray) -> None:
-        """The gate of `kernels.entry` for calls per state: InvalidInputError unless q is one configuration."""
+        """The check that `jit.entry` makes, for calls per state: InvalidInputError unless q is one configuration."""
         if q.shape != self._shape or q.dtype != np.float64:
             raise InvalidInputError(
                 f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of float64; "

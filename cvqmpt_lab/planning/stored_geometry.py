@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvqmpt_lab.disk_cache import kept_arrays
+from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, robot_geometry
 from cvqmpt_lab.kernels.collision.separation import ConvexShapes
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
-from cvqmpt_lab.kernels.objects import SOURCES
 
 PIECES = "pieces."
 """Before the names of the arrays of `RobotGeometry.pieces`."""

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.jit import entry
 
 REPEATS = 7
 IN_A_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -71,8 +71,8 @@ class CpuTimes:
         return (Measurement(name, "ms", found) for name, found in self._found.items())
 
 
-@kernel
-def _sines(n):
+@entry
+def _sines(n: int):
     total = 0.0
     for i in range(n):
         total += np.sin(i * 1e-3)

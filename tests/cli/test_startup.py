@@ -13,7 +13,7 @@ from cvqmpt_lab.methods.table import PLANNERS
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib", "cvxpy", "ompl",
-    "PIL", "rerun", "trimesh", "collada", "paper_tables", "yaml", "urllib.request",
+    "PIL", "rerun", "trimesh", "collada", "paper_tables", "urllib.request",
 )  # fmt: skip
 IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
 LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from compiled_kernels import from_python
 
 from cvqmpt_lab.kernels.search.nearest import (
     BLOCK,
@@ -11,6 +12,8 @@ from cvqmpt_lab.kernels.search.nearest import (
     nearest_index,
     nearest_node,
 )
+
+index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node))
 
 
 def walks(rng, count, n=7):

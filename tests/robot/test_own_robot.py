@@ -140,8 +140,8 @@ WITHOUT_CACHE = """
 import warnings
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    from cvqmpt_lab.kernels import objects
-    print(objects.folder(), objects.compiled_before())
+    from cvqmpt_lab import jit
+    print(jit.folder(), jit.compiled_before())
 print([str(w.message) for w in caught if "kernel cache" in str(w.message)])
 import numpy as np
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.collision.grid_filling import (
     COARSE,
     LISTS,
@@ -18,8 +19,6 @@ from cvqmpt_lab.kernels.collision.grid_filling import (
     Work,
     fill_blocks,
 )
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
 
 ROOM = 1024  # items of lists, to begin with
 REACH = 0.13  # [m] largest ball whose neighbours are listed
@@ -29,7 +28,6 @@ ROTATION, CENTRE, HALF, SWELLING, COLUMNS = 0, 9, 12, 15, 16
 
 
 @entry
-@kernel
 def assign(
     bounds: Annotated[np.ndarray, "count 16"],
     origin: Annotated[np.ndarray, "3"],

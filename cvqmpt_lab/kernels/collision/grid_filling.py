@@ -9,8 +9,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 
 RANGE = 0.3  # [m] distances are cut off here
 STEP = RANGE / 255.0  # [m] of a stored byte
@@ -229,7 +228,6 @@ def _add_all(bounds, grid, kept, near, n, reach, work):
 
 
 @entry
-@kernel
 def fill_blocks(
     bounds: Annotated[np.ndarray, "count 16"],
     grid: DistanceGrid,

@@ -12,8 +12,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.jit import kernel
 from cvqmpt_lab.kernels.collision.simplex import dot, nearest_on_simplex
-from cvqmpt_lab.kernels.compiling import kernel
 
 HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
 MAX_HULL_VERTICES = 1 << 16

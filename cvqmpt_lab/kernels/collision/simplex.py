@@ -5,7 +5,7 @@ Voronoi-region tests after Ericson, "Real-Time Collision Detection", section 5.1
 point v. Points are tuples of three floats [m].
 """
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.jit import kernel
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _FLAT = 1e-12

@@ -10,8 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry
 
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
 MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS
@@ -43,7 +42,6 @@ class SphereTree(NamedTuple):
 
 
 @entry
-@kernel
 def shrink_sphere(
     points: Annotated[np.ndarray, "k 3"],
     rounds: int,

@@ -8,8 +8,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.manifold.trigonometry import sine_and_cosine
 
 
@@ -70,7 +69,6 @@ def forward_kinematics(kinematics, q, link_rotation, link_translation):
 
 
 @entry
-@kernel
 def write_link_poses(
     kinematics: Kinematics,
     configurations: Annotated[np.ndarray, "count n"],

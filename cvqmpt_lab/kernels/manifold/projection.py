@@ -11,8 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.regions import Regions, jacobian, residual
 
@@ -157,8 +156,7 @@ def newton(kinematics, regions, q, tolerance, max_iterations, hurry, scratch):
         iteration += 1
 
 
-@entry
-@kernel(inline="machine")
+@entry(inline="machine")
 def project(
     kinematics: Kinematics,
     regions: Regions,
@@ -178,7 +176,6 @@ def project(
 
 
 @entry
-@kernel
 def project_batch(
     kinematics: Kinematics,
     regions: Regions,
@@ -194,7 +191,6 @@ def project_batch(
 
 
 @entry
-@kernel
 def reach_poses(
     kinematics: Kinematics,
     regions: Regions,

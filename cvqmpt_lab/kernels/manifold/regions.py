@@ -12,8 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.rotation import log_map_factor, rotation_vector
 
@@ -218,7 +217,6 @@ def jacobian(kinematics, regions, link_rotation, link_translation, displacement,
 
 
 @entry
-@kernel
 def batch_residual_and_jacobian(
     kinematics: Kinematics,
     regions: Regions,

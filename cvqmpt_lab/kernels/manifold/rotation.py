@@ -10,7 +10,7 @@ The half-angle cotangent stays finite at t = pi, where the usual (1 + cos t) / s
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.jit import kernel
 
 SMALL_ANGLE = 1e-5  # [rad] below it, series are exact to double precision
 NEAR_PI = 1e-4  # [rad] above pi - NEAR_PI, the axis is read from the symmetric part

@@ -6,7 +6,7 @@ Taylor series are exact to the last bit of double precision. Good to 1e-15 for a
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.jit import kernel
 
 _TWO_OVER_PI = 2.0 / np.pi
 # pi / 2 as a sum of three doubles; the first two have 33 significant bits, so that k times them is exact.

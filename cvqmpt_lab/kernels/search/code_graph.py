@@ -4,8 +4,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry
 from cvqmpt_lab.kernels.search.heap import drop_smallest, push
 from cvqmpt_lab.kernels.search.motion import distance
 
@@ -34,7 +33,6 @@ class CodeGraph(NamedTuple):
 
 
 @entry
-@kernel
 def cheapest_ways(
     graph: CodeGraph, cost: Annotated[np.ndarray, "nodes"], parent: Annotated[np.ndarray, "int32 nodes"]
 ):

@@ -4,14 +4,12 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.kernels.search.space_arrays import STATE_CHECKS, Space, state_valid
 
 
 @entry
-@kernel
 def edge_verdicts(
     space: Space,
     nodes: Annotated[np.ndarray, "nodes n"],

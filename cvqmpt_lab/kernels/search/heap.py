@@ -1,6 +1,6 @@
 """A binary heap of keys with values, in arrays of the caller's."""
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.jit import kernel
 
 
 @kernel(inline="machine")

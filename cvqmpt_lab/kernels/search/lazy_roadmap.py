@@ -10,8 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.search.heap import drop_smallest, push
 from cvqmpt_lab.kernels.search.motion import bisect_motion, distance
 from cvqmpt_lab.kernels.search.sight import Sight, surprise
@@ -60,7 +59,6 @@ class Roadmap(NamedTuple):
 
 
 @entry
-@kernel
 def nearest_nodes(
     nodes: Annotated[np.ndarray, "rows n"],
     count: int,
@@ -88,7 +86,6 @@ def nearest_nodes(
 
 
 @entry
-@kernel
 def link_query(
     roadmap: Roadmap,
     direct: int,
@@ -219,7 +216,6 @@ def _join_nodes(space, roadmap, check, path, length, ends, states):
 
 
 @entry
-@kernel
 def search(
     space: Space,
     roadmap: Roadmap,
@@ -268,7 +264,6 @@ def search(
 
 
 @entry
-@kernel
 def block_state(
     roadmap: Roadmap,
     path: Annotated[np.ndarray, "int64 longest"],

@@ -4,8 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.manifold.regions import residual
 from cvqmpt_lab.kernels.search.space_arrays import Space, posed_state_valid, project_state
@@ -61,7 +60,6 @@ def step_towards(space, origin, target, allowance, out):
 
 
 @entry
-@kernel
 def bisect_motion(
     space: Space,
     origin: Annotated[np.ndarray, "n"],
@@ -158,7 +156,6 @@ def chord_on_manifold(space, a, b):
 
 
 @entry
-@kernel
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
     """Whether b and the straight joint motion towards it are free of collision, every state of it.
 
@@ -204,7 +201,6 @@ def segment_valid(space, a, b):
 
 
 @entry
-@kernel
 def refine_and_check(
     space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "room n"]
 ):

@@ -9,10 +9,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
 from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, newton
 from cvqmpt_lab.kernels.manifold.regions import Regions
@@ -68,7 +67,6 @@ def _nearest_seed(seeds, first, look, rotation, translation):
 
 
 @entry
-@kernel
 def reach_free(
     kinematics: Kinematics,
     regions: Regions,

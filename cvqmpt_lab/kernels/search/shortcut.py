@@ -4,8 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.search.motion import bisect_motion, distance, segment_valid
 from cvqmpt_lab.kernels.search.space_arrays import Space
 
@@ -69,7 +68,6 @@ def _shorter_motion(space, states, a, b, detour):
 
 
 @entry
-@kernel
 def shortcut(
     space: Space,
     states: Annotated[np.ndarray, "capacity n"],

@@ -6,8 +6,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.search.small_network import SmallNetwork, answer
 
@@ -42,7 +41,6 @@ class Sight(NamedTuple):
 
 
 @entry
-@kernel
 def fill_distances(
     points: Annotated[np.ndarray, "count 3"],
     origin: Annotated[np.ndarray, "3"],
@@ -134,7 +132,6 @@ def surprise(kinematics, sight, a, b):
 
 
 @entry
-@kernel
 def judge_motions(
     kinematics: Kinematics,
     sight: Sight,
@@ -151,7 +148,6 @@ def judge_motions(
 
 
 @entry
-@kernel
 def ball_cells(
     kinematics: Kinematics,
     sight: Sight,
@@ -175,7 +171,6 @@ def ball_cells(
 
 
 @entry
-@kernel
 def look_at_cells(
     sight: Sight,
     distance: Annotated[np.ndarray, "uint8 flat"],
@@ -194,7 +189,6 @@ def look_at_cells(
 
 
 @entry
-@kernel
 def join_looks(
     clearance: Annotated[np.ndarray, "count n"],
     first: Annotated[np.ndarray, "int32 motions_and_one"],

@@ -4,29 +4,25 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry
 from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
 from cvqmpt_lab.kernels.manifold.regions import jacobian, residual
 from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
 
 
 @entry
-@kernel
 def project_one(space: Space, q: Annotated[np.ndarray, "n"]):
     """Project q (n,) in place; True on success."""
     return project_state(space, q)
 
 
 @entry
-@kernel
 def valid_one(space: Space, q: Annotated[np.ndarray, "n"]):
     """Whether q (n,) is free of collision."""
     return state_valid(space, q)
 
 
 @entry
-@kernel
 def constraint_one(
     space: Space,
     q: Annotated[np.ndarray, "n"],

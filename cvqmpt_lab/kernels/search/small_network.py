@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
+from cvqmpt_lab.jit import kernel
 
 
 class SmallNetwork(NamedTuple):

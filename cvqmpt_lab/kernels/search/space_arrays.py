@@ -10,10 +10,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
 from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.kernels.compiling import kernel, made_by_numba
-from cvqmpt_lab.kernels.entry import entry
 from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, project
 from cvqmpt_lab.kernels.manifold.regions import Regions
@@ -49,21 +48,6 @@ class StateCheck:
         if self.error is not None:
             error, self.error = self.error, None
             raise error
-
-
-@made_by_numba
-def _call():
-    """Call the C function ``bool f()`` at an address."""
-    from llvmlite import ir
-    from numba import types
-    from numba.extending import intrinsic
-
-    def generate(context, builder, signature, arguments):
-        function = ir.FunctionType(ir.IntType(8), [])
-        pointer = builder.inttoptr(arguments[0], function.as_pointer())
-        return builder.icmp_unsigned("!=", builder.call(pointer, []), ir.IntType(8)(0))
-
-    return intrinsic(lambda typing_context, address: (types.boolean(types.int64), generate))
 
 
 class Space(NamedTuple):
@@ -147,7 +131,7 @@ def posed_state_valid(space, q, clearance):
             return geometry == FREE
     for j in range(q.shape[0]):
         space.query[j] = q[j]
-    return _call(space.check)
+    return call_address(space.check)
 
 
 @kernel(inline="source")
@@ -158,7 +142,6 @@ def state_valid(space, q):
 
 
 @entry
-@kernel
 def states_valid(
     space: Space, configurations: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "bool count"]
 ):

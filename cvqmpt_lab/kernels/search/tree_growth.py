@@ -7,8 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import entry
+from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.search.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
 from cvqmpt_lab.kernels.search.nearest import (
     NearestIndex,
@@ -94,7 +93,6 @@ def extend(space, nodes, parent, size, which, origin, target, reach):
 
 
 @entry
-@kernel
 def grow(
     space: Space,
     trees: Trees,
@@ -148,7 +146,6 @@ def grow(
 
 
 @entry
-@kernel
 def extract_path(
     trees: Trees, out: Annotated[np.ndarray, "room n"], origin: Annotated[np.ndarray, "int64 room 2"]
 ):
@@ -193,7 +190,6 @@ def remove_subtree(trees, which, root):
 
 
 @entry
-@kernel
 def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 room 2"], segment: int):
     """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
     later_in_start_tree = origin[segment + 1, 0] == 0

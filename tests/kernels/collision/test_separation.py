@@ -3,6 +3,7 @@
 import coal
 import numpy as np
 import pytest
+from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +24,8 @@ from cvqmpt_lab.kernels.collision.separation import (
 from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline, pack_shapes
 from cvqmpt_lab.kernels.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
 
+first_contact, cell_of, known_distance = map(from_python, (first_contact, cell_of, known_distance))
+distance, separating_gap = map(from_python, (distance, separating_gap))
 MARGIN = 1e-4
 NO_VERTICES = np.empty((0, 3))
 LOWER, UPPER = np.full(3, -0.6), np.full(3, 0.6)

@@ -4,9 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from compiled_kernels import from_python
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.kernels.manifold.rotation import log_map_factor, rotation_vector
+
+log_map_factor, rotation_vector = map(from_python, (log_map_factor, rotation_vector))
 
 ANGLES = [
     0.0,

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from numba import njit
 
-from cvqmpt_lab.kernels.compiling import kernel
 from cvqmpt_lab.kernels.manifold.trigonometry import sine_and_cosine
 
 
-@kernel
+@njit
 def _of_all(angles, sines, cosines):
     for i in range(len(angles)):
         sines[i], cosines[i] = sine_and_cosine(angles[i])

@@ -1,16 +1,17 @@
-"""The gate before the kernels: arrays of another shape or type are refused by name; nothing crashes."""
+"""Entries check the arrays that Python passes, and numba's machine code is kept on disk and healed there."""
 
+import os
 import subprocess
 import sys
 from typing import Annotated, NamedTuple
 
 import numpy as np
 import pytest
+from compiled_kernels import from_python
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.compiling import kernel
-from cvqmpt_lab.kernels.entry import check_bundle, entry
+from cvqmpt_lab.jit import check_bundle, entry, forget_unused, kernel
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search import lazy_roadmap, motion, shortcut, space_arrays, tree_growth
 from cvqmpt_lab.planning.space import ConstrainedSpace
@@ -22,7 +23,6 @@ class Pair(NamedTuple):
 
 
 @entry
-@kernel
 def first_entry(pair: Pair, q: Annotated[np.ndarray, "n"], factor: float):
     return factor * pair.nodes[0, 0] + q[0]
 
@@ -38,7 +38,7 @@ def a_pair(rows=3, n=2, dtype=np.int64):
 
 def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
     assert first_entry(a_pair(), np.ones(2), 3.0) == 4.0
-    assert twice_first_entry(a_pair(), np.ones(2)) == 4.0
+    assert from_python(twice_first_entry)(a_pair(), np.ones(2)) == 4.0
 
 
 @pytest.mark.parametrize(
@@ -126,3 +126,41 @@ def test_configurations_of_another_robot_do_not_end_the_process(slider_arm_urdf)
     )
     assert run.returncode == 0, run.stderr[-500:]
     assert run.stdout.startswith("refused: batch_residual_and_jacobian: configurations has shape (4000, 100)")
+
+
+def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_path):
+    for k in range(5):
+        version = tmp_path / f"{k:016x}"
+        version.mkdir()
+        (version / "motion.motion_free-0.nbi").touch()
+        os.utime(version, (k, k))
+    for other in ("0123456789abcdef", "clouds"):
+        (tmp_path / other).mkdir()
+        (tmp_path / other / "mine.txt").touch()
+        os.utime(tmp_path / other, (0, 0))
+    forget_unused(tmp_path, kept=2)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {f"{3:016x}", f"{4:016x}", "0123456789abcdef", "clouds"}
+
+
+PROJECT = """
+import numpy as np
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.robot.loading import panda
+print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)
+"""
+
+
+def test_damaged_machine_code_is_compiled_anew(tmp_path):
+    def run():
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+        return subprocess.run(
+            [sys.executable, "-c", PROJECT], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    whole = run()
+    files = list(tmp_path.rglob("*.nb?"))
+    for file in files:
+        file.write_bytes(file.read_bytes()[: 0 if file.suffix == ".nbi" else 1000])
+    assert files and run() == whole
+    assert all(file.stat().st_size > 1000 for file in tmp_path.rglob("*.nbc"))

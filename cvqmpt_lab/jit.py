@@ -1,0 +1,244 @@
+"""Compiled functions: numba's `njit` with our options, its cache folder, and the check of arrays that Python passes.
+
+A `kernel` is called by other kernels only. An `entry` is a kernel that Python calls, too: its machine code is kept on
+disk, and its annotations say what each array must look like, for example ``Annotated[np.ndarray, "m n"]`` (float64)
+or ``Annotated[np.ndarray, "int64 2 capacity"]``. A bundle (NamedTuple) of arrays says so at its own fields. A letter
+stands for one number throughout a call (n joints), a word for one among the arguments or the fields of one bundle.
+Numbers are annotated `float`, `int` or `bool`.
+
+Kernels make no arrays: numba's reference counting would cost more than the arithmetic of the hot path (residual and
+Jacobian of a region: 3.7 us with it, 0.7 us without). Division is IEEE's; a product and a sum may become one
+instruction (a quarter of forward kinematics).
+"""
+
+import contextlib
+import functools
+import inspect
+import os
+import pickle
+import re
+import shutil
+import warnings
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, get_type_hints
+
+import numpy as np
+from llvmlite import ir
+from numba import config, from_dtype, njit, types
+from numba.core.caching import UserProvidedCacheLocator
+from numba.extending import intrinsic
+
+from cvqmpt_lab.disk_cache import sources_digest
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import cache_folder
+
+OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "no_cfunc_wrapper": True, "_nrt": False}
+INLINE: dict[str | None, dict] = {None: {}, "machine": {"forceinline": True}, "source": {"inline": "always"}}
+NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
+DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")}
+VERSIONS = 8  # of the kernels' sources whose machine code is kept: those used last
+PACKAGE = Path(__file__).parent
+FILES = [file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.jit" in file.read_bytes()]
+SOURCES = sources_digest(*FILES)
+"""Digest of every file with kernels: numba itself does not notice when a function changes that another one calls."""
+
+
+@functools.cache
+def folder() -> Path | None:
+    """A writable folder for machine code of these sources, or None with a warning."""
+    place = Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()).expanduser() / SOURCES
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        place.touch()
+        forget_unused(place.parent)
+        return place
+    except OSError as error:
+        message = f"kernel cache {place} is not writable ({error.strerror}): every process compiles for half a minute; "
+        warnings.warn(message + "set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
+        return None
+
+
+def forget_unused(place: Path, kept: int = VERSIONS) -> None:
+    """Remove machine code of all but the versions of the sources that were used last."""
+    with contextlib.suppress(OSError):  # another process removes it, too
+        found = [one for one in place.iterdir() if re.fullmatch("[0-9a-f]{16}", one.name) and one.is_dir()]
+        ours = [one for one in found if all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())]
+        for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
+            shutil.rmtree(old)
+
+
+def compiled_before(everything: bool = False) -> bool:
+    """Whether machine code is on disk: some of it, or of every entry."""
+    place = folder()
+    return place is not None and any(place.glob("complete" if everything else "*.nbc"))
+
+
+def compile_all(first: int = 0, stride: int = 1) -> None:
+    """Compile every entry, or every stride-th one."""
+    for file in FILES:
+        import_module(".".join((PACKAGE.name, *file.relative_to(PACKAGE).with_suffix("").parts)))
+    for compiled in Entry.all[first::stride]:
+        _ = compiled.unchecked
+    if (place := folder()) is not None and stride == 1:
+        (place / "complete").touch()
+
+
+class Locator(UserProvidedCacheLocator):
+    """Where numba keeps machine code: files lie in our folder itself, wherever the sources are."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """No folder of its own for each folder of sources."""
+        return ""
+
+
+def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:
+    """A compiled function that other kernels call.
+
+    inline: "machine" merges its machine code into every caller: a bundle of arrays is passed as some hundred
+        scalars, which a call in the hot path cannot afford. "source" pastes it into its callers before anything is
+        compiled, which spares compiling it on its own.
+    """
+    if function is None:
+        return functools.partial(kernel, inline=inline)
+    return njit(no_cpython_wrapper=True, **OPTIONS, **INLINE[inline])(function)
+
+
+def entry(function: Callable | None = None, *, inline: str | None = None) -> Any:
+    """A compiled function that Python and other kernels call; inline: as of `kernel`."""
+    return functools.partial(entry, inline=inline) if function is None else Entry(function, INLINE[inline])
+
+
+class Entry:
+    """A compiled function whose arrays are checked when Python calls it; arguments are given by position."""
+
+    all: ClassVar[list["Entry"]] = []
+
+    def __init__(self, function: Callable, options: dict[str, Any]) -> None:
+        self.py_func, self.name = function, function.__name__
+        functools.update_wrapper(self, function)
+        self.dispatcher = njit(**OPTIONS, **options)(function)
+        if folder() is not None:
+            before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
+            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder()), f"{__name__}.Locator"
+            self.dispatcher.enable_caching()
+            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = before
+        Entry.all.append(self)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self.dispatcher._numba_type_  # to compiled callers this is numba's function itself
+
+    @functools.cached_property
+    def unchecked(self) -> Callable:
+        """Its machine code, for callers that have checked the shapes: for bundles the check costs some microseconds."""
+        hints = get_type_hints(self.py_func, include_extras=True)
+        signature = tuple(_numba_type(hints[name]) for name in inspect.signature(self.py_func).parameters)
+        for _ in range(8):
+            try:
+                return self.dispatcher.compile(signature)
+            except (EOFError, pickle.UnpicklingError):  # files damaged when the machine went down
+                shutil.rmtree(str(folder()), ignore_errors=True)
+            except OSError:  # the disk is full: what was compiled stays in memory
+                continue
+        return self.dispatcher.compile(signature)
+
+    @functools.cached_property
+    def _forms(self) -> "tuple[_Form, ...]":
+        hints = get_type_hints(self.py_func, include_extras=True)
+        return _forms(tuple((name, hints[name]) for name in inspect.signature(self.py_func).parameters), 1)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the machine code, or raise InvalidInputError that names the array at fault."""
+        _check(arguments, self._forms, {}, self.name)
+        return self.unchecked(*arguments)
+
+
+@intrinsic
+def call_address(typing_context, address):
+    """Call the C function ``bool f()`` at an address."""
+
+    def generate(context, builder, signature, arguments):
+        function = ir.FunctionType(ir.IntType(8), [])
+        pointer = builder.inttoptr(arguments[0], function.as_pointer())
+        return builder.icmp_unsigned("!=", builder.call(pointer, []), ir.IntType(8)(0))
+
+    return types.boolean(types.int64), generate
+
+
+def check_bundle(bundle: NamedTuple) -> None:
+    """InvalidInputError unless all arrays of a bundle, and of bundles in it, fit its annotations and each other."""
+    _check(bundle, _forms(_fields(type(bundle)), 9), {}, type(bundle).__name__)
+
+
+class _Form(NamedTuple):
+    """What an argument or field must look like: an array, or a bundle with forms of its own (else nothing is asked)."""
+
+    name: str
+    dtype: np.dtype | None
+    shape: tuple[int | str, ...] = ()  # numbers, or names that stand for one
+    members: "tuple[_Form, ...]" = ()
+
+
+@functools.cache
+def _fields(bundle: Any) -> tuple[tuple[str, Any], ...]:
+    hints = get_type_hints(bundle, include_extras=True)
+    return tuple((name, hints[name]) for name in bundle._fields)
+
+
+@functools.cache
+def _forms(hints: tuple[tuple[str, Any], ...], depth: int) -> tuple[_Form, ...]:
+    """Forms of arguments or fields, in order; of bundles in bundles only as deep as asked."""
+    found = []
+    for name, hint in hints:
+        if hasattr(hint, "__metadata__"):
+            found.append(_Form(name, *_array(hint)))
+        else:
+            nested = hasattr(hint, "_fields") and depth > 0
+            found.append(_Form(name, None, (), _forms(_fields(hint), depth - 1) if nested else ()))
+    return tuple(found)
+
+
+def _array(hint: Any) -> tuple[np.dtype, tuple[int | str, ...]]:
+    """Type and shape that an array's annotation asks for."""
+    words = hint.__metadata__[0].split()
+    dtype = DTYPES[words.pop(0)] if words[0] in DTYPES else DTYPES["float64"]
+    return dtype, tuple(int(word) if word.isdigit() else word for word in words)
+
+
+def _numba_type(hint: Any) -> types.Type:
+    """Numba's type of what an annotation describes."""
+    if hint in NUMBERS:
+        return NUMBERS[hint]
+    if hasattr(hint, "_fields"):
+        return types.BaseTuple.from_types(tuple(_numba_type(field) for _, field in _fields(hint)), hint)
+    dtype, shape = _array(hint)
+    return types.Array(from_dtype(dtype), len(shape), "C")
+
+
+def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str) -> None:
+    """Compare values with their forms; sizes: numbers found so far for names of dimensions."""
+    for value, form in zip(values, forms, strict=True):
+        if form.dtype is None:
+            if form.members:
+                own = {name: size for name, size in sizes.items() if len(name) == 1}
+                _check(value, form.members, own, f"{where}.{form.name}")
+                sizes.update((name, size) for name, size in own.items() if len(name) == 1)
+            continue
+        right = type(value) is np.ndarray and value.dtype == form.dtype and value.ndim == len(form.shape)
+        if right and value.flags.c_contiguous:
+            for size, name in zip(value.shape, form.shape, strict=True):
+                if size != (name if isinstance(name, int) else sizes.setdefault(name, size)):
+                    break
+            else:
+                continue
+        wanted = ", ".join(f"{name} = {sizes[name]}" if name in sizes else str(name) for name in form.shape)
+        needed = f"({wanted}) of {form.dtype}"
+        if not isinstance(value, np.ndarray):
+            given = type(value).__name__
+            raise InvalidInputError(f"{where}: {form.name} is a {given}; give an array {needed}")
+        order = "" if value.flags.c_contiguous else ", not contiguous (np.ascontiguousarray cures that)"
+        given = f"shape {value.shape} of {value.dtype}{order}"
+        raise InvalidInputError(f"{where}: {form.name} has {given}; needed: {needed}")
