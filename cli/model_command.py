@@ -63,12 +63,11 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     from cvqmpt_lab.vqmpt.import_published import import_published
 
     imported = import_published(dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"})))
-    report = imported.report
     print(f"{'state':20} {'tensors':>8} {'numbers':>12}")
-    for state in report.states:
-        print(f"{state.name:20} {state.tensors:>8} {state.numbers:>12,}")
-    print(f"epochs: dictionary {report.dictionary_epoch}, sequence model {report.sequence_epoch}")
-    print(f"not used: {', '.join(report.ignored) or 'nothing'}\n")
+    for name, (tensors, numbers) in imported.states.items():
+        print(f"{name:20} {tensors:>8} {numbers:>12,}")
+    print("epochs: dictionary {}, sequence model {}".format(*imported.epochs))
+    print(f"not used: {', '.join(imported.ignored) or 'nothing'}\n")
     save_checkpoint(out, imported.checkpoint)
 
 

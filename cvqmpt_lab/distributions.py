@@ -23,10 +23,8 @@ class SamplingDistribution(Protocol):
 class Uniform:
     """Uniform between the joint limits."""
 
-    lower: np.ndarray
-    """(n,) [rad or m]."""
-    upper: np.ndarray
-    """(n,) [rad or m]."""
+    lower: np.ndarray  # (n,) [rad or m]
+    upper: np.ndarray  # (n,) [rad or m]
     name: str = "uniform"
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -38,16 +36,11 @@ class Uniform:
 class GaussianMixture:
     """Weighted Gaussians, optionally mixed with a uniform share (paper, eqn. sample_dist)."""
 
-    means: np.ndarray
-    """(k, n) [rad or m]."""
-    covariances: np.ndarray
-    """(k, n, n) [rad^2]."""
-    weights: np.ndarray
-    """(k,), summing to 1."""
-    uniform: Uniform | None = None
-    """Distribution mixed in."""
-    uniform_share: float = 0.0
-    """Its share in [0, 1]; at 0 the mixture has no tail and a planner is not probabilistically complete."""
+    means: np.ndarray  # (k, n) [rad or m]
+    covariances: np.ndarray  # (k, n, n) [rad^2]
+    weights: np.ndarray  # (k,), summing to 1
+    uniform: Uniform | None = None  # distribution mixed in
+    uniform_share: float = 0.0  # its share in [0, 1]; at 0 a planner is not probabilistically complete
     name: str = "gaussian-mixture"
 
     @classmethod

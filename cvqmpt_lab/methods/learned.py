@@ -57,7 +57,9 @@ class PredictedCodes:
         """Predict; the timings say what the networks took."""
         assert observation.cloud is not None
         goals = query.nearest_goals(GOALS)
-        prediction = self.predictor.predict(observation.cloud, query.start, goals, observation.new)
+        prediction = self.predictor.predict(
+            observation.cloud, query.start, goals, use_cache=not observation.new
+        )
         lost = len(prediction.unfinished)
         detail = f"{len(prediction.codes)} codes" + (
             f", none to {lost} of {len(goals)} goals" if lost else ""

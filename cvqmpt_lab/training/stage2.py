@@ -24,7 +24,7 @@ from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, SceneStage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import ModelConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_samples
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_lengths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,11 +184,10 @@ class Stage2(SceneStage):
             context = model.encode_context(model.encode_scene(cloud), examples.start, examples.goal)
             rows, lengths, targets = [], [], []
             for row in examples.weight.nonzero()[:, 0].tolist():
-                known = sequences.codes[row, : int(sequences.visible[row].sum()) - 1]
-                samples = prefix_samples(known, self.config.goal_class)
-                rows += [row] * len(samples.lengths)
-                lengths.append(samples.lengths)
-                targets.append(sequences.targets[row, samples.lengths])
+                counted = prefix_lengths(int(sequences.visible[row].sum()) - 1).to(cloud.device)
+                rows += [row] * len(counted)
+                lengths.append(counted)
+                targets.append(sequences.targets[row, counted])
             logits = model.prefix_logits(
                 context[rows], sequences.codes[rows], self.dictionary.quantizer, torch.cat(lengths)
             )

@@ -1,4 +1,4 @@
-"""Pre-norm attention and feed-forward blocks, as the published checkpoints have them."""
+"""Pre-norm attention and feed-forward blocks of both stages, as the published checkpoints have them."""
 
 import torch
 from torch import Tensor, nn
@@ -10,8 +10,8 @@ from cvqmpt_lab.vqmpt.config import EPSILON, TransformerConfig
 class MultiHeadAttention(nn.Module):
     """softmax(q k^T / sqrt(d_k)) v per head, projections without bias, plus the residual.
 
-    One layer norm is applied to the query and to the context (keys and values) alike; the residual is
-    the query before it.
+    One layer norm is applied to the query and to the context (keys and values) alike; the residual is the query
+    before it.
     """
 
     def __init__(self, sizes: TransformerConfig) -> None:
@@ -25,20 +25,10 @@ class MultiHeadAttention(nn.Module):
         self.dropout = sizes.dropout
 
     def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Let each query look at the context.
+        """Attend from query (b, t, d_model) to context (b, m, d_model), both before normalisation.
 
-        Parameters
-        ----------
-        query
-            (b, t, d_model), before normalisation.
-        context
-            (b, m, d_model), before normalisation; the query itself in self-attention.
-        visible
-            (b, m) bool, context tokens that may be looked at; None for all.
-
-        Returns
-        -------
-        (b, t, d_model).
+        context: the query itself in self-attention. visible (b, m) bool: context tokens that are no padding; None
+        for all.
         """
         keys_of = self.layer_norm(context)
         queries_of = keys_of if query is context else self.layer_norm(query)
@@ -46,13 +36,9 @@ class MultiHeadAttention(nn.Module):
             projection(tokens).unflatten(-1, (self.n_heads, -1)).transpose(1, 2)
             for projection, tokens in ((self.w_qs, queries_of), (self.w_ks, keys_of), (self.w_vs, keys_of))
         )
-        heads = F.scaled_dot_product_attention(
-            q,
-            k,
-            v,
-            attn_mask=None if visible is None else visible[:, None, None, :],
-            dropout_p=self.dropout if self.training else 0.0,
-        )
+        mask = None if visible is None else visible[:, None, None, :]
+        dropout = self.dropout if self.training else 0.0
+        heads = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, dropout_p=dropout)
         heads = heads.transpose(1, 2).flatten(2)
         return query + F.dropout(self.fc(heads), self.dropout, self.training)
 
@@ -76,7 +62,7 @@ class FeedForward(nn.Module):
 
 
 class SelfAttentionLayer(nn.Module):
-    """Tokens look at each other, then a feed-forward block."""
+    """Tokens attend to each other, then a feed-forward block."""
 
     def __init__(self, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -89,7 +75,7 @@ class SelfAttentionLayer(nn.Module):
 
 
 class CrossAttentionLayer(nn.Module):
-    """Queries look at a context, not at each other, then a feed-forward block."""
+    """Queries attend to a context, not to each other, then a feed-forward block."""
 
     def __init__(self, sizes: TransformerConfig) -> None:
         super().__init__()

@@ -1,18 +1,23 @@
-"""How a search asks a sequence model for the next code: rows of prefixes that grow by one code a step."""
+"""Beam search: the most probable sequence of codes (paper, eqn. prob_eqn),
+
+    P(h_1 ... h_n | M) = prod_i pi(h_i | h_1 ... h_(i-1), M),
+
+with pi the autoregressive model and M the context of scene, start and goal. The sequence ends with the goal token.
+"""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 
 
 class StepDecoder(Protocol):
-    """Prefixes of codes, one a row, and what may follow them.
+    """What a search asks a sequence model: prefixes of codes, one a row, that grow by one code a step.
 
-    Classes are the codes, then the start token (never a target), then the goal token. Rows of one query
-    (start and goal) lie together, queries in their order, equally many rows each. Logits are float32.
+    Classes are the codes, then the start token (never predicted), then the goal token. Rows of one query (start and
+    goal) lie together, queries in their order, equally many rows each. Logits are float32.
     """
 
     def start(self) -> np.ndarray:
@@ -31,48 +36,23 @@ class StepDecoder(Protocol):
         """
 
 
-def rows_per_scene(rows: int, scenes: int) -> int:
-    """How many rows belong to each scene, rows being grouped by scene.
-
-    Raises
-    ------
-    InvalidInputError
-        When they do not divide evenly.
-    """
-    if rows % scenes:
-        raise InvalidInputError(f"{rows} starts and goals for {scenes} scenes; give equally many for each")
-    return rows // scenes
-
-
-# From a sequence model to code sequences: beam search (paper, eqn. prob_eqn).
-Scoring = Literal["log-probability", "published"]
-
-
 @dataclass(frozen=True)
 class CodeSequence:
     """A predicted sequence."""
 
-    codes: tuple[int, ...]
-    """Without start and goal token."""
-    finished: bool
-    """The goal token was predicted; False when the length limit came first, and then the codes lead nowhere in
-    particular: the caller decides what to do, and says so."""
-    log_probability: float
-    """Of the codes, and of the goal token when finished [nats]."""
-    score: float
-    """What the search ranked by; the log probability unless the scoring is ``published``."""
+    codes: tuple[int, ...]  # without start and goal token
+    finished: bool  # the goal token was predicted before the length limit; without it the codes lead nowhere
+    log_probability: float  # of the codes, and of the goal token when finished [nats]
+    score: float  # what the search ranked by; the log probability unless `published`
 
 
 @dataclass(frozen=True, eq=False)
 class _Beams:
     """The hypotheses of q queries, k each."""
 
-    codes: np.ndarray
-    """(q, k, t) int64."""
-    score: np.ndarray
-    """(q, k)."""
-    log_probability: np.ndarray
-    """(q, k) [nats]."""
+    codes: np.ndarray  # (q, k, t) int64
+    score: np.ndarray  # (q, k)
+    log_probability: np.ndarray  # (q, k) [nats]
 
     def sequence(self, query: int, rank: int, goal: int) -> CodeSequence:
         """One hypothesis up to its goal token; a finished one may have been padded with further ones."""
@@ -86,56 +66,44 @@ class _Beams:
 
 
 def beam_search(
-    decoder: StepDecoder, *, beams: int = 3, max_length: int = 50, scoring: Scoring = "log-probability"
+    decoder: StepDecoder, *, beams: int = 3, max_length: int = 50, published: bool = False
 ) -> list[CodeSequence]:
     """Search the most probable sequence of each query, all queries in one batch.
 
-    ``log-probability`` maximises the product of probabilities. A hypothesis that predicts the goal
-    token stays among the beams as it is; since extending the others only lowers them, the search of a
-    query ends when such a one ranks first. A beam never repeats its last code. At the length limit the
-    best hypothesis that is finished is returned; when none is, the best one, with `finished` False.
-
-    ``published`` scores as the published code does: the logarithm of the first probability, then sums of
-    plain probabilities; the last code of any beam is forbidden to all of them; the search ends at the
-    first step in which any beam predicts the goal token, and the best of those is returned. What is not
-    copied is that the published code then reads embeddings that were not reordered with the beams.
-
-    The first prediction is never the goal token, and none is the start token.
+    A hypothesis that predicts the goal token stays among the beams as it is; since extending the others only lowers
+    them, the search of a query ends when such a one ranks first. A beam never repeats its last code. At the length
+    limit the best hypothesis that is finished is returned; when none is, the best one, with `finished` False. The
+    first prediction is never the goal token, and none is the start token.
 
     Parameters
     ----------
     decoder
         Fresh, for all queries.
     beams
-        Hypotheses kept per query.
+        Hypotheses kept per query, K.
     max_length
-        Predicted tokens at most, the goal token included (published code: 50 for CVQ-MPT, 30 for
-        Opt-CVQ-MPT).
-
-    Returns
-    -------
-    One sequence per query.
+        Predicted tokens at most, the goal token included (published code: 50 for CVQ-MPT, 30 for Opt-CVQ-MPT).
+    published
+        Score as the authors' code does: the logarithm of the first probability, then sums of plain probabilities;
+        the last code of any beam is forbidden to all of them; the search ends at the first step in which any beam
+        predicts the goal token, and the best of those is returned. Not copied is that their code then reads
+        embeddings that were not reordered with the beams.
 
     Raises
     ------
-    InvalidInputError, UnknownChoiceError
-        For a length or beam count below 1, more beams than codes, an unknown scoring, or logits that are
-        not finite.
+    InvalidInputError
+        For a length or beam count below 1, more beams than codes, or logits that are not finite.
     """
-    if scoring not in get_args(Scoring):
-        raise UnknownChoiceError("scoring", scoring, get_args(Scoring))
-    log_p = _first_log_probabilities(decoder, max_length)
-    most = log_p.shape[1] - 2
+    if max_length < 1:
+        raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")
+    logits = decoder.start()
+    if not np.isfinite(logits).all():
+        raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
+    log_p = _log_probabilities(logits, (len(logits),))
+    log_p[:, -1] = -np.inf
+    queries, most, goal = len(log_p), log_p.shape[1] - 2, log_p.shape[1] - 1
     if not 1 <= beams <= most:
         raise InvalidInputError(f"{beams} beams; give 1 to {most}")
-    return _search(decoder, log_p, beams, max_length, scoring)
-
-
-def _search(
-    decoder: StepDecoder, log_p: np.ndarray, beams: int, max_length: int, scoring: Scoring
-) -> list[CodeSequence]:
-    """Search on from the log probabilities (q, classes) of the first codes."""
-    queries, goal = len(log_p), log_p.shape[1] - 1
     codes, score = _largest(log_p, beams)
     hypotheses = _Beams(codes[..., None], score, score)
     first_row = beams * np.arange(queries)[:, None]
@@ -145,12 +113,11 @@ def _search(
     for _ in range(max_length - 1):
         latest = hypotheses.codes[..., -1].ravel()
         logits = decoder.advance(parents, np.where(latest == goal, 0, latest))
-        hypotheses, rank_of = _extend(hypotheses, _log_probabilities(logits, (queries, beams)), scoring)
+        hypotheses, rank_of = _extend(hypotheses, _log_probabilities(logits, (queries, beams)), published)
         parents = (rank_of + first_row).ravel()
         for query, ended in enumerate((hypotheses.codes[..., -1] == goal).tolist()):
             best[query] = ended.index(True) if True in ended else 0
-            is_over = ended[0] if scoring == "log-probability" else True in ended
-            if is_over and query not in found:
+            if (True in ended if published else ended[0]) and query not in found:
                 found[query] = hypotheses.sequence(query, best[query], goal)
         if len(found) == queries:
             break
@@ -160,17 +127,17 @@ def _search(
     ]
 
 
-def _extend(hypotheses: _Beams, log_p: np.ndarray, scoring: Scoring) -> tuple[_Beams, np.ndarray]:
+def _extend(hypotheses: _Beams, log_p: np.ndarray, published: bool) -> tuple[_Beams, np.ndarray]:
     """Best continuations and the ranks (q, k) they continue; log_p (q, k, classes), overwritten."""
     queries, beams, classes = log_p.shape
     latest = hypotheses.codes[..., -1]
     query = np.arange(queries)[:, None]
-    if scoring == "published":
+    if published:
         gain = np.exp(log_p)
         gain.swapaxes(1, 2)[query, latest] = -np.inf
     else:
         ended = latest == classes - 1
-        if ended.any():  # a finished hypothesis goes on as it is, for nothing
+        if ended.any():  # a finished hypothesis goes on as it is, at no cost
             log_p[ended] = -np.inf
             log_p[ended, -1] = 0.0
         log_p[query, np.arange(beams), np.where(ended, classes - 2, latest)] = -np.inf
@@ -188,18 +155,6 @@ def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     row = np.arange(len(values))[:, None]
     columns = columns[row, np.argsort(-values[row, columns], axis=1, kind="stable")]
     return columns, values[row, columns]
-
-
-def _first_log_probabilities(decoder: StepDecoder, max_length: int) -> np.ndarray:
-    """Log probabilities (queries, classes) of the first code, the goal token left out."""
-    if max_length < 1:
-        raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")
-    logits = decoder.start()
-    if not np.isfinite(logits).all():
-        raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
-    log_p = _log_probabilities(logits, (len(logits),))
-    log_p[:, -1] = -np.inf
-    return log_p
 
 
 def _log_probabilities(logits: np.ndarray, rows: tuple[int, ...]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Tensors from files, checked before they fill a module."""
+"""Trained models as torch modules, to and from weights on disk; every tensor is checked before it fills a module."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,28 +9,108 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.beam_search import StepDecoder
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.mpnet_network import MPNet
-from cvqmpt_lab.vqmpt.transformer import PublishedScene, PublishedSequenceModel
-from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, RobotSignature, StoredModel, read_model, write_weights
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, RobotSignature, StoredModel, read_model, write_model
 
-CONSTANTS = ("pos_table", "l_index")
-"""Buffers that follow from the sizes: a file that has others was made for another model."""
-TOLERANCE = 1e-4
-"""Of those, and of the length of codes."""
+CONSTANTS = ("pos_table", "l_index")  # buffers that follow from the sizes; others belong to another model
+TOLERANCE = 1e-4  # of those buffers, and of the length of codes
 
 Module = TypeVar("Module", bound=nn.Module)
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A VQ-MPT model and what it belongs to."""
+
+    architecture: ClassVar[str] = VQ_MPT
+
+    config: ModelConfig
+    robot: RobotSignature
+    dictionary: Dictionary
+    sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
+
+    @property
+    def parts(self) -> dict[str, nn.Module]:
+        """Modules by the name of their weights file."""
+        parts = {"dictionary": self.dictionary, "sequence_model": self.sequence_model}
+        return {name: module for name, module in parts.items() if module is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class MPNetCheckpoint:
+    """A trained MPNet and what it belongs to."""
+
+    architecture: ClassVar[str] = MPNET
+
+    robot: RobotSignature
+    network: MPNet
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
+
+    @property
+    def config(self) -> MPNetConfig:
+        """Sizes of the network."""
+        return self.network.config
+
+    @property
+    def parts(self) -> dict[str, nn.Module]:
+        """Modules by the name of their weights file."""
+        return {"mpnet": self.network}
+
+
+Trained = Checkpoint | MPNetCheckpoint
+
+
+def stored(checkpoint: Trained) -> StoredModel:
+    """A checkpoint's weights as they are now, copied to plain arrays."""
+    parts = {
+        name: {key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()}
+        for name, module in checkpoint.parts.items()
+    }
+    return StoredModel(
+        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
+    )
+
+
+def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
+    """Write a checkpoint; see `write_model`, also for errors."""
+    write_model(folder, stored(checkpoint))
+
+
+def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
+    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU; errors as of `read_model`, `as_modules`."""
+    return as_modules(read_model(folder, robot, VQ_MPT))
+
+
+def as_modules(model: StoredModel) -> Checkpoint:
+    """VQ-MPT's weights in torch modules, in evaluation mode; raises InvalidInputError where they do not fit."""
+    builders: dict[str, Callable[[], nn.Module]] = {
+        "dictionary": lambda: Dictionary(model.config),
+        "sequence_model": lambda: PublishedSequenceModel(model.config),
+    }
+    modules: dict[str, Any] = {
+        name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)
+        for name, build in builders.items()
+        if name in model.parts
+    }
+    return Checkpoint(model.config, model.robot, metadata=model.metadata, **modules)
+
+
+@torch.inference_mode()
+def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
+    """Code (t,) int64 of each configuration (t, configuration_dim) of a trajectory, by any encoder."""
+    return as_modules(model).dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()
 
 
 def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: str) -> Module:
     """Make a module with exactly these trained tensors, in evaluation mode.
 
-    The module is made only once names and shapes are known to fit, so that sizes which no file bears out
-    cost neither time nor memory.
+    The module is made only once names and shapes are known to fit, so that sizes which no file confirms cost neither
+    time nor memory.
 
     Raises
     ------
@@ -69,13 +149,9 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -
     """
     _require_fit(module, tensors, where)
     expected = module.state_dict()
-    require_finite({name: tensor.to(expected[name].dtype) for name, tensor in tensors.items()}, where)
+    bad = [name for name, t in tensors.items() if not t.to(expected[name].dtype).isfinite().all()]
+    _refuse([f"{name} has NaN or infinite values" for name in bad], where)
     module.load_state_dict(dict(tensors))
-
-
-def require_finite(tensors: Mapping[str, Tensor], where: str) -> None:
-    """Raise InvalidInputError naming the tensors that are not finite."""
-    _refuse([f"{n} has NaN or infinite values" for n, t in tensors.items() if not t.isfinite().all()], where)
 
 
 def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
@@ -101,131 +177,3 @@ def _refuse(faults: list[str], where: str) -> None:
     if faults:
         more = f" and {len(faults) - 5} more" if len(faults) > 5 else ""
         raise InvalidInputError(f"{where} does not fit its configuration: {'; '.join(faults[:5])}{more}")
-
-
-# Trained models as torch modules: VQ-MPT (dictionary, and sequence model once there is one) and MPNet.
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """A VQ-MPT model and what it belongs to."""
-
-    architecture: ClassVar[str] = VQ_MPT
-
-    config: ModelConfig
-    robot: RobotSignature
-    dictionary: Dictionary
-    sequence_model: PublishedSequenceModel | None = None
-    """None after stage 1 alone, which is all of a compact model."""
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    """Json values: how it was trained."""
-
-    @property
-    def parts(self) -> dict[str, nn.Module]:
-        """Modules by the name of their weights file."""
-        parts: dict[str, nn.Module] = {"dictionary": self.dictionary}
-        if self.sequence_model is not None:
-            parts["sequence_model"] = self.sequence_model
-        return parts
-
-
-@dataclass(frozen=True, eq=False)
-class MPNetCheckpoint:
-    """A trained MPNet and what it belongs to."""
-
-    architecture: ClassVar[str] = MPNET
-
-    robot: RobotSignature
-    network: MPNet
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    """Json values: how it was trained."""
-
-    @property
-    def config(self) -> MPNetConfig:
-        """Sizes of the network."""
-        return self.network.config
-
-    @property
-    def parts(self) -> dict[str, nn.Module]:
-        """Modules by the name of their weights file."""
-        return {"mpnet": self.network}
-
-
-Trained = Checkpoint | MPNetCheckpoint
-
-
-def stored(checkpoint: Trained) -> StoredModel:
-    """A checkpoint's weights as they are now, copied to plain arrays."""
-    parts = {
-        name: {key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()}
-        for name, module in checkpoint.parts.items()
-    }
-    return StoredModel(
-        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
-    )
-
-
-def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
-    """Write a checkpoint, replacing an earlier one in `folder` at once or not at all.
-
-    Raises
-    ------
-    InvalidInputError
-        When weights are not finite or the disk refuses; nothing is left behind.
-    """
-    write_weights(
-        folder,
-        checkpoint.architecture,
-        to_plain(checkpoint.config, complete=True),
-        checkpoint.robot,
-        checkpoint.metadata,
-        stored(checkpoint).parts,
-    )
-
-
-def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
-    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU.
-
-    Parameters and errors are those of `read_model`; InvalidInputError also names the tensor that does not fit.
-    """
-    return as_modules(read_model(folder, robot, VQ_MPT))
-
-
-def as_modules(model: StoredModel) -> Checkpoint:
-    """VQ-MPT's weights in torch modules, in evaluation mode; raises InvalidInputError where they do not fit."""
-    config = model.config
-    builders = {
-        "dictionary": lambda: Dictionary(config),
-        "sequence_model": lambda: PublishedSequenceModel(config),
-    }
-    modules: dict[str, Any] = {
-        name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)
-        for name, build in builders.items()
-        if name in model.parts
-    }
-    return Checkpoint(config, model.robot, metadata=model.metadata, **modules)
-
-
-# The published architecture at work: its networks run in torch.
-class PublishedNetwork:
-    """A sequence model of the published kind as prediction uses it."""
-
-    def __init__(self, model: StoredModel) -> None:
-        """Take the weights over; raises InvalidInputError when they do not fit their configuration."""
-        checkpoint = as_modules(model)
-        assert checkpoint.sequence_model is not None
-        self._dictionary, self._model = checkpoint.dictionary, checkpoint.sequence_model
-
-    @torch.inference_mode()
-    def encode_scene(self, points: np.ndarray) -> PublishedScene:
-        """A cloud (m, 3) float32 [m]."""
-        return self._model.encode_scene([torch.tensor(points)])
-
-    @torch.inference_mode()
-    def decoder(self, scene: PublishedScene, starts: np.ndarray, goals: np.ndarray) -> StepDecoder:
-        """What a search of code sequences asks, for starts and goals (q, joint_dim)."""
-        return self._model.decoder(self._dictionary, scene, torch.from_numpy(starts), torch.from_numpy(goals))
-
-
-@torch.inference_mode()
-def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
-    """Code (t,) int64 of each configuration (t, configuration_dim) of a trajectory, by any encoder."""
-    return as_modules(model).dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()

@@ -1,6 +1,6 @@
-"""Sizes and options of a model, as frozen data that `codec` takes to json and back.
+"""Sizes and options of VQ-MPT and MPNet, as they stand in the json file beside weights.
 
-Defaults are the paper's; `ModelConfig.compact` is the smaller dictionary that ships.
+Defaults are those of the published models; `ModelConfig.compact` is the smaller dictionary that ships.
 """
 
 import math
@@ -9,11 +9,9 @@ from typing import Literal, Self
 
 from cvqmpt_lab.errors import InvalidInputError, shown
 
-LARGEST = 1 << 16
-"""Of any size; a larger one is a slip of the pen."""
+LARGEST = 1 << 16  # of any size; a larger one is a typing error
 MOST_LAYERS = 64
-EPSILON = 1e-6
-"""Of the layer norms of attention and feed-forward blocks, and of the dictionary."""
+EPSILON = 1e-6  # of the layer norms of attention and feed-forward blocks, and of the dictionary
 
 
 def require_sizes(**sizes: int | tuple[int, ...] | None) -> None:
@@ -36,13 +34,10 @@ class TransformerConfig:
 
     n_layers: int = 3
     n_heads: int = 3
-    d_k: int = 512
-    """Width of queries and keys, per head."""
-    d_v: int = 256
-    """Width of values, per head."""
+    d_k: int = 512  # width of queries and keys, per head
+    d_v: int = 256  # width of values, per head
     d_model: int = 512
-    d_inner: int = 1024
-    """Width between the two layers of a feed-forward block."""
+    d_inner: int = 1024  # width between the two layers of a feed-forward block
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
@@ -61,13 +56,11 @@ class DictionaryConfig:
     """Over the whole trajectory (published), or ``mlp`` on each waypoint alone, which uses only `d_model` and
     `d_inner` of `transformer`."""
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
-    n_position: int = 1000
-    """Longest trajectory the transformer's position table covers [waypoints]."""
+    n_position: int = 1000  # longest trajectory that the transformer's position table covers [waypoints]
     n_codes: int = 2048
     code_dim: int = 8
     decoder_dropout: float = 0.5
-    commitment: float = 0.25
-    """Beta of the quantization loss."""
+    commitment: float = 0.25  # beta of the quantization loss
     data_initialised: bool = False
     """Codes start at encoded waypoints and unused ones are restarted from data (`Quantizer.restart_codes`);
     without it they are learnt by gradient alone."""
@@ -82,14 +75,10 @@ class DictionaryConfig:
 class SetAbstractionConfig:
     """One PointNet++ level: centres, their neighbourhoods and the perceptron over each."""
 
-    ratio: float = 0.75
-    """Share of the points kept as centres."""
-    radius: float
-    """Of the ball around a centre [m]."""
-    max_neighbours: int = 64
-    """Points used of each ball."""
-    widths: tuple[int, int]
-    """Outputs of the perceptron's two layers."""
+    ratio: float = 0.75  # share of the points that become centres
+    radius: float  # of the ball around a centre [m]
+    max_neighbours: int = 64  # points used of each ball
+    widths: tuple[int, int]  # outputs of the perceptron's two layers
 
     def __post_init__(self) -> None:
         require_sizes(max_neighbours=self.max_neighbours, widths=self.widths)
@@ -112,12 +101,11 @@ class PointCloudConfig:
 class SequenceConfig:
     """Stage 2: scene, start and goal -> sequence of codes."""
 
-    context: TransformerConfig = field(default_factory=TransformerConfig)
-    """Cross attention of start and goal to the scene."""
-    transformer: TransformerConfig = field(default_factory=TransformerConfig)
-    """The model of the sequence."""
-    max_length: int = 50
-    """Tokens predicted at most, the goal token included."""
+    context: TransformerConfig = field(
+        default_factory=TransformerConfig
+    )  # start and goal attend to the scene
+    transformer: TransformerConfig = field(default_factory=TransformerConfig)  # the autoregressive model
+    max_length: int = 50  # tokens predicted at most, the goal token included
 
     def __post_init__(self) -> None:
         require_sizes(max_length=self.max_length)
@@ -125,19 +113,14 @@ class SequenceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelConfig:
-    """Everything needed to build a VQ-MPT model."""
+    """A VQ-MPT model: the architecture of the published checkpoints, or the smaller dictionary alone ("compact")."""
 
     kind: Literal["published", "compact"] = "published"
-    """The architecture of the published checkpoints, or the smaller dictionary alone."""
     joint_dim: int = 7
-    feature_dim: int = 0
-    """Numbers that describe a configuration beside its joints, such as link positions by forward kinematics,
-    flattened [m]; 0 for none (compact only)."""
+    feature_dim: int = 0  # numbers beside the joints, such as link positions [m], flattened (compact only)
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
-    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)
-    """None in a compact model."""
-    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)
-    """None in a compact model."""
+    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)  # None in a compact model
+    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)  # None in a compact model
 
     def __post_init__(self) -> None:
         require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
@@ -206,25 +189,15 @@ class MPNetConfig:
     """Sizes of MPNet; defaults are those of the published 7-joint model."""
 
     joint_dim: int = 7
-    n_points: int = 4120
-    """Points of a cloud, drawn at random from what there is."""
-    encoder_widths: tuple[int, ...] = (786, 512, 256)
-    """Hidden layers of the cloud encoder."""
-    code_dim: int = 60
-    """Of an encoded cloud."""
-    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
-    """Hidden layers of the planner."""
-    dropout: float = 0.5
-    """Probability to drop a unit, after every hidden layer of the planner but the last."""
+    n_points: int = 4120  # of a cloud, drawn at random from what there is
+    encoder_widths: tuple[int, ...] = (786, 512, 256)  # hidden layers of the cloud encoder
+    code_dim: int = 60  # of an encoded cloud
+    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)  # hidden layers of the planner
+    dropout: float = 0.5  # probability to drop a unit, after every hidden layer of the planner but the last
 
     def __post_init__(self) -> None:
-        require_sizes(
-            joint_dim=self.joint_dim,
-            n_points=self.n_points,
-            code_dim=self.code_dim,
-            encoder_widths=self.encoder_widths,
-            planner_widths=self.planner_widths,
-        )
+        sizes = {name: getattr(self, name) for name in ("joint_dim", "n_points", "code_dim")}
+        require_sizes(**sizes, encoder_widths=self.encoder_widths, planner_widths=self.planner_widths)
         require_probability("dropout", self.dropout)
         if not self.encoder_widths or not self.planner_widths:
             raise InvalidInputError("encoder_widths and planner_widths need a layer each")

@@ -1,4 +1,8 @@
-"""The dictionary's codes: unit vectors, the nearest by cosine, learnt through a straight-through step."""
+"""Stage 1 of VQ-MPT: the dictionary Z_Q = {z_1 ... z_N} that cuts the planning space into Gaussians.
+
+A waypoint is encoded, its latent replaced by the nearest code z_i, and the code decoded to a Gaussian over
+configurations, g(z_i) = N(mu, Sigma) (paper, eqn. decoder_eqn), Sigma = L D L^T.
+"""
 
 import math
 from dataclasses import dataclass
@@ -12,95 +16,6 @@ from cvqmpt_lab.vqmpt.attention import FeedForward, SelfAttentionLayer, sinusoid
 from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, TransformerConfig
 
 
-@dataclass(frozen=True, eq=False)
-class Quantized:
-    """Latents before and after quantization."""
-
-    latent: Tensor
-    """(..., d_model)."""
-    quantized: Tensor
-    """(..., d_model), of the nearest code."""
-    codes: Tensor
-    """(...) int64: which that is."""
-
-
-class Quantizer(nn.Module):
-    """Projects latents to few dimensions, replaces them by the nearest code, projects back.
-
-    Every forward call scales the codes back to unit length, in place; after the last optimizer step call
-    `normalise_codes` before saving. The batch norm is never applied; it is part of the published
-    checkpoints' layout.
-    """
-
-    def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
-        super().__init__()
-        self.input_linear_map = nn.Linear(d_model, code_dim)
-        self.output_linear_map = nn.Linear(code_dim, d_model)
-        self.embedding = nn.Embedding(n_codes, code_dim)
-        nn.init.xavier_uniform_(self.embedding.weight)
-        self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
-        self.normalise_codes()
-
-    @torch.no_grad()
-    def normalise_codes(self) -> None:
-        """Scale every code to unit length, in place."""
-        self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
-
-    def project(self, latent: Tensor) -> Tensor:
-        """Unit vectors (..., code_dim) that stand for latents (..., d_model)."""
-        return F.normalize(self.input_linear_map(latent), dim=-1)
-
-    def nearest(self, z: Tensor) -> Tensor:
-        """Index (...) of the code with the largest cosine to each unit vector z (..., code_dim)."""
-        with torch.no_grad():
-            return (z @ self.embedding.weight.T).argmax(dim=-1)
-
-    def forward(self, latent: Tensor) -> Quantized:
-        """Quantize latents (..., d_model).
-
-        The value passed on is e; its gradient reaches the encoder (as if z had been passed on) and the
-        code e alike: z + e - stop_gradient(z).
-        """
-        self.normalise_codes()
-        z = self.project(latent)
-        codes = self.nearest(z)
-        through = z + self.embedding(codes) - z.detach()
-        return Quantized(latent, self.output_linear_map(through), codes)
-
-    def lookup(self, codes: Tensor) -> Tensor:
-        """Latents (..., d_model) of codes (...), ready for the decoder."""
-        return self.output_linear_map(self.embedding(codes))
-
-    def restart_codes(self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None) -> int:
-        """Put codes onto encoded waypoints drawn at random; return how many were moved.
-
-        Parameters
-        ----------
-        dead
-            (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from data.
-        latents
-            (m, d_model): encoded waypoints.
-        generator
-            Source of the draw (without replacement while `latents` last).
-
-        Raises
-        ------
-        InvalidInputError
-            When there are no latents to move to.
-        """
-        indices = dead.nonzero()[:, 0]
-        if len(indices) == 0:
-            return 0
-        if len(latents) == 0:
-            raise InvalidInputError("restart of codes from 0 latents; give at least one encoded waypoint")
-        order = torch.randperm(len(latents), generator=generator)
-        chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
-        with torch.no_grad():
-            self.embedding.weight[indices] = self.project(latents[chosen])
-        return len(indices)
-
-
-# Stage 1, first half: from waypoints to latent vectors, one per waypoint.
 class PositionTable(nn.Module):
     """Fixed sinusoidal code of the position in a trajectory, kept as a buffer."""
 
@@ -111,13 +26,7 @@ class PositionTable(nn.Module):
         self.register_buffer("pos_table", sinusoid_table(n_position, d_model)[None])
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Add the code to tokens (b, t, d_model).
-
-        Raises
-        ------
-        InvalidInputError
-            When the trajectory is longer than the table.
-        """
+        """Add the code to tokens (b, t, d_model); raises InvalidInputError when t is beyond the table."""
         length, longest = tokens.shape[1], self.pos_table.shape[1]
         if length > longest:
             raise InvalidInputError(f"trajectory of {length} waypoints; this encoder takes {longest} at most")
@@ -125,10 +34,10 @@ class PositionTable(nn.Module):
 
 
 class TrajectoryEncoder(nn.Module):
-    """Transformer over a whole trajectory (paper, section on VQ-MPT; sizes of the published code).
+    """Transformer over a whole trajectory, as published.
 
-    One layer norm serves three times: after the embedding, after the position code and at the end.
-    Padded waypoints are attended to, as in the published code; only the losses mask them.
+    One layer norm serves three times: after the embedding, after the position code and at the end. Padded waypoints
+    are attended to, as in the published code; only the losses mask them.
     """
 
     def __init__(self, input_dim: int, n_position: int, sizes: TransformerConfig) -> None:
@@ -169,32 +78,101 @@ class WaypointEncoder(nn.Module):
         return self.layers(waypoints)
 
 
-# Stage 1, second half: from a quantized latent to a Gaussian over normalised configurations.
+@dataclass(frozen=True, eq=False)
+class Quantized:
+    """Latents before and after quantization."""
+
+    latent: Tensor  # (..., d_model)
+    quantized: Tensor  # (..., d_model), of the nearest code
+    codes: Tensor  # (...) int64: which that is
+
+
+class Quantizer(nn.Module):
+    """Projects latents to few dimensions, replaces them by the nearest code, projects back.
+
+    Codes have unit length: every forward call scales them, in place; after the last optimizer step call
+    `normalise_codes` before saving. The batch norm is never applied; published checkpoints have its buffers.
+    """
+
+    def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
+        super().__init__()
+        self.input_linear_map = nn.Linear(d_model, code_dim)
+        self.output_linear_map = nn.Linear(code_dim, d_model)
+        self.embedding = nn.Embedding(n_codes, code_dim)
+        nn.init.xavier_uniform_(self.embedding.weight)
+        self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
+        self.normalise_codes()
+
+    @torch.no_grad()
+    def normalise_codes(self) -> None:
+        """Scale every code to unit length, in place."""
+        self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
+
+    def project(self, latent: Tensor) -> Tensor:
+        """Unit vectors (..., code_dim) that stand for latents (..., d_model)."""
+        return F.normalize(self.input_linear_map(latent), dim=-1)
+
+    def nearest(self, z: Tensor) -> Tensor:
+        """Index (...) of the code with the largest cosine to each unit vector z (..., code_dim)."""
+        with torch.no_grad():
+            return (z @ self.embedding.weight.T).argmax(dim=-1)
+
+    def forward(self, latent: Tensor) -> Quantized:
+        """Quantize latents (..., d_model).
+
+        Straight-through: passed on is z + e - stop_gradient(z), the code e in value, with a gradient that reaches
+        the encoder (as if z had been passed on) and e alike.
+        """
+        self.normalise_codes()
+        z = self.project(latent)
+        codes = self.nearest(z)
+        through = z + self.embedding(codes) - z.detach()
+        return Quantized(latent, self.output_linear_map(through), codes)
+
+    def lookup(self, codes: Tensor) -> Tensor:
+        """Latents (..., d_model) of codes (...), ready for the decoder."""
+        return self.output_linear_map(self.embedding(codes))
+
+    def restart_codes(self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None) -> int:
+        """Put codes onto encoded waypoints drawn at random; return how many were moved.
+
+        Parameters
+        ----------
+        dead
+            (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from data.
+        latents
+            (m, d_model): encoded waypoints; drawn without replacement while they last. InvalidInputError for none.
+        """
+        indices = dead.nonzero()[:, 0]
+        if len(indices) == 0:
+            return 0
+        if len(latents) == 0:
+            raise InvalidInputError("restart of codes from 0 latents; give at least one encoded waypoint")
+        order = torch.randperm(len(latents), generator=generator)
+        chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
+        with torch.no_grad():
+            self.embedding.weight[indices] = self.project(latents[chosen])
+        return len(indices)
+
+
 @dataclass(frozen=True, eq=False)
 class Gaussians:
     """A batch of Gaussians with covariance L D L^T (published code; the paper prints L D^2 L^T)."""
 
-    mean: Tensor
-    """(..., n), normalised joints."""
-    lower: Tensor
-    """(..., n, n), L, ones on the diagonal."""
-    diagonal: Tensor
-    """(..., n), D, positive."""
+    mean: Tensor  # (..., n), mu, normalised joints
+    lower: Tensor  # (..., n, n), L, ones on the diagonal
+    diagonal: Tensor  # (..., n), D, positive
 
     @property
     def covariance(self) -> Tensor:
-        """L D L^T (..., n, n)."""
+        """Sigma = L D L^T (..., n, n)."""
         return (self.lower * self.diagonal[..., None, :]) @ self.lower.mT
 
     def log_prob(self, u: Tensor) -> Tensor:
         """Log density (...) at normalised joints u (..., n) [nats]."""
         offset = (u - self.mean)[..., None]
-        whitened = torch.linalg.solve_triangular(
-            self.lower.expand(*offset.shape[:-2], *self.lower.shape[-2:]),
-            offset,
-            upper=False,
-            unitriangular=True,
-        )
+        lower = self.lower.expand(*offset.shape[:-2], *self.lower.shape[-2:])
+        whitened = torch.linalg.solve_triangular(lower, offset, upper=False, unitriangular=True)
         mahalanobis = (whitened[..., 0].square() / self.diagonal).sum(-1)
         n = self.mean.shape[-1]
         return -0.5 * (mahalanobis + self.diagonal.log().sum(-1) + n * math.log(2.0 * math.pi))
@@ -206,7 +184,7 @@ class Gaussians:
 
 
 class GaussianDecoder(nn.Module):
-    """Feed-forward block (normalised at its end), then three linear heads: mean, D and L."""
+    """Feed-forward block (normalised at its end), then three linear heads: mu, D and L."""
 
     l_index: Tensor
 
@@ -228,7 +206,6 @@ class GaussianDecoder(nn.Module):
         return Gaussians(mean, lower.unflatten(-1, (n, n)), F.softplus(self.diag(hidden)))
 
 
-# Stage 1 as a whole: waypoint -> latent -> code -> Gaussian.
 @dataclass(frozen=True, eq=False)
 class DictionaryOutput:
     """The Gaussian of every waypoint and the quantization it came from."""
@@ -254,13 +231,9 @@ class Dictionary(nn.Module):
         )
 
     def forward(self, waypoints: Tensor) -> DictionaryOutput:
-        """Encode and decode trajectories.
+        """Encode and decode waypoints (b, t, configuration_dim): joints in [0, 1], then features [m], if any.
 
-        Parameters
-        ----------
-        waypoints
-            (b, t, configuration_dim): normalised joints in [0, 1], then features [m], if any. Padded
-            waypoints are treated like any other; mask them in the losses.
+        Padded waypoints are treated like any other; mask them in the losses.
         """
         quantized = self.quantizer(self.encoder(waypoints))
         return DictionaryOutput(self.decoder(quantized.quantized), quantized)
@@ -270,13 +243,5 @@ class Dictionary(nn.Module):
         return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
 
     def decode(self, z: Tensor) -> Gaussians:
-        """Gaussians (...) of code vectors z (..., code_dim), which need not be in the dictionary.
-
-        Differentiable in z; what the latent optimizer moves (paper, algorithm 2).
-        """
+        """g(z): Gaussians (...) of code vectors z (..., code_dim), which need not be in the dictionary."""
         return self.decoder(self.quantizer.output_linear_map(z))
-
-    def code_gaussians(self, codes: Tensor | None = None) -> Gaussians:
-        """Gaussians of codes (...), or of the whole dictionary (n_codes,)."""
-        vectors = self.quantizer.embedding.weight
-        return self.decode(vectors if codes is None else vectors[codes])

@@ -1,12 +1,14 @@
-"""Pickles of tensors from strangers: read without running anything, and told apart from what is none."""
+"""Import of the authors' checkpoints: two folders with three json files and two pickles of tensors.
+
+Pickles are read without running anything: one that wants to run code is refused.
+"""
 
 import pickle
 import re
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,12 +17,25 @@ from torch import Tensor
 from cvqmpt_lab.codec.plain import from_plain, located
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
-from cvqmpt_lab.vqmpt import config as sizes
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, filled
+from cvqmpt_lab.vqmpt.config import (
+    DictionaryConfig,
+    ModelConfig,
+    PointCloudConfig,
+    SequenceConfig,
+    SetAbstractionConfig,
+    TransformerConfig,
+)
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
+WEIGHTS_FILE = "best_model.pkl"
+CODE_DIM = 8  # a constant of the published scripts, in none of the json files
+SIZES = ("n_layers", "n_heads", "d_k", "d_v", "d_model", "d_inner", "dropout")
+STAGE1 = {"encoder_state": "encoder", "quantizer_state": "quantizer", "decoder_state": "decoder"}
+STAGE2 = {"context_state": "context", "ar_model_state": "autoregressive"}
+"""States of each stage's pickle, by the part of our module that they fill."""
 _NUMPY_SCALAR: Any = np.float64(0.0).__reduce__()[0]
 _HARMLESS: list[Any] = [  # a learning rate may have been saved as a numpy number, under either path
     _NUMPY_SCALAR,
@@ -30,6 +45,113 @@ _HARMLESS: list[Any] = [  # a learning rate may have been saved as a numpy numbe
     np.dtypes.Float32DType,
     np.dtypes.Int64DType,
 ]
+
+
+class Imported(NamedTuple):
+    """A published model in this project's terms, and what was converted."""
+
+    checkpoint: Checkpoint
+    states: dict[str, tuple[int, int]]  # by name: its tensors, and the numbers in them
+    epochs: tuple[int | None, int | None]  # of both stages
+    ignored: tuple[str, ...]  # entries beside the states: optimizer, epoch, ...
+
+
+def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Imported:
+    """Convert published checkpoints; every tensor finds its place and none is left over.
+
+    Parameters
+    ----------
+    dictionary_dir
+        Folder of ``model_params.json`` and ``best_model.pkl`` (stage 1).
+    ar_dir
+        Folder of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2).
+    robot
+        Whose joint limits the training data were scaled by; the files do not say.
+
+    Raises
+    ------
+    InvalidInputError
+        Naming the file that is missing, not json or not a pickle of tensors (a pickle that wants to run
+        code is refused, never executed), the field that is unknown or missing, or the tensors that are
+        missing, left over, of another shape or damaged.
+    """
+    dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
+    config = _config(dictionary_dir, ar_dir)
+    path1, path2 = dictionary_dir / WEIGHTS_FILE, ar_dir / WEIGHTS_FILE
+    stage1, stage2 = read_tensors(path1), read_tensors(path2)
+    dictionary = filled(lambda: Dictionary(config), _together(stage1, STAGE1, path1), str(path1))
+    tensors = _together(stage2, STAGE2, path2)
+    sequence_model = filled(lambda: PublishedSequenceModel(config), tensors, str(path2))
+    both, used = {**stage1, **stage2}, (*STAGE1, *STAGE2)
+    epochs = _epoch(stage1), _epoch(stage2)
+    metadata = {"source": "published checkpoint", "epochs": [*epochs]}
+    return Imported(
+        Checkpoint(config, robot, dictionary, sequence_model, metadata),
+        {name: (len(both[name]), sum(t.numel() for t in both[name].values())) for name in used},
+        epochs,
+        tuple(sorted({str(name) for name in both} - {*used})),
+    )
+
+
+def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
+    stage1 = _fields(dictionary_dir / "model_params.json", (*SIZES, "n_position", "c_space_dim"))
+    context = _fields(ar_dir / "cross_attn.json", (*SIZES, "d_context"))
+    sequence = _fields(ar_dir / "ar_params.json", (*SIZES, "num_keys"))
+    if context["d_context"] != stage1["c_space_dim"]:
+        raise InvalidInputError(
+            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the dictionary's "
+            f"c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
+        )
+    if sequence["num_keys"] < 3:
+        raise InvalidInputError(f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes")
+    with located(f"{dictionary_dir} and {ar_dir}"):
+        return ModelConfig(
+            kind="published",
+            joint_dim=stage1["c_space_dim"],
+            dictionary=DictionaryConfig(
+                transformer=_sizes(stage1),
+                n_position=stage1["n_position"],
+                n_codes=sequence["num_keys"] - 2,
+                code_dim=CODE_DIM,
+            ),
+            point_cloud=PointCloudConfig(
+                sa2=SetAbstractionConfig(radius=0.4, widths=(256, stage1["d_model"])),
+            ),
+            sequence=SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
+        )
+
+
+def _sizes(fields: Mapping[str, Any]) -> TransformerConfig:
+    return TransformerConfig(**{name: fields[name] for name in SIZES})
+
+
+def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    """Read exactly the named numbers from a json file."""
+    data = read_json_object(require_regular_file(path))
+    for name in (*data, *names):
+        if name not in names or name not in data:
+            state = "unknown" if name not in names else "missing"
+            raise InvalidInputError(f"{path}: {name} is {state}; fields: {', '.join(names)}")
+        from_plain(float if name == "dropout" else int, data[name], f"{path}: {name}")
+    return data
+
+
+def _together(content: Mapping[str, Any], places: Mapping[str, str], where: Path) -> dict[str, Tensor]:
+    """All tensors of a stage by the names that our module has for them."""
+    tensors: dict[str, Tensor] = {}
+    for name, part in places.items():
+        state = content.get(name)
+        if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
+            raise InvalidInputError(
+                f"{where}: {name} is missing or not made of tensors; the file has {', '.join(map(str, content))}"
+            )
+        tensors |= {f"{part}.{key}": tensor for key, tensor in state.items()}
+    return tensors
+
+
+def _epoch(content: Mapping[str, Any]) -> int | None:
+    epoch = content.get("epoch")
+    return epoch if isinstance(epoch, int) else None
 
 
 def read_tensors(path: Path) -> dict[str, Any]:
@@ -63,150 +185,3 @@ def _refusal(path: Path, beginning: bytes, error: Exception) -> str:
             f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or is cut short"
         )
     return f"{path} is no torch checkpoint, or cut short ({type(error).__name__}); fetch it again"
-
-
-# Conversion of the published checkpoint folders: three json files and two pickles of tensors.
-WEIGHTS_FILE = "best_model.pkl"
-CODE_DIM = 8
-"""Dimensions of a code: a constant of the published scripts, in none of the json files."""
-
-_SIZES = ("n_layers", "n_heads", "d_k", "d_v", "d_model", "d_inner", "dropout")
-_STAGE1 = {"encoder_state": "encoder", "quantizer_state": "quantizer", "decoder_state": "decoder"}
-_STAGE2 = {"context_state": "context", "ar_model_state": "autoregressive"}
-"""States of each stage's pickle, by the part of our module that they fill."""
-
-
-@dataclass(frozen=True)
-class ImportedState:
-    """One state dictionary of the pickles, all of it used."""
-
-    name: str
-    tensors: int
-    numbers: int
-    """Entries of all its tensors."""
-
-
-@dataclass(frozen=True)
-class ImportReport:
-    """What was converted, and what was not."""
-
-    states: tuple[ImportedState, ...]
-    dictionary_epoch: int | None
-    sequence_epoch: int | None
-    ignored: tuple[str, ...]
-    """Entries beside the states: optimizer, epoch, ..."""
-
-
-@dataclass(frozen=True, eq=False)
-class ImportedModel:
-    """A published model in this project's terms."""
-
-    checkpoint: Checkpoint
-    report: ImportReport
-
-
-def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> ImportedModel:
-    """Convert published checkpoints; every tensor finds its place and none is left over.
-
-    Parameters
-    ----------
-    dictionary_dir
-        Folder of ``model_params.json`` and ``best_model.pkl`` (stage 1).
-    ar_dir
-        Folder of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2).
-    robot
-        Whose joint limits the training data were scaled by; the files do not say.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the file that is missing, not json or not a pickle of tensors (a pickle that wants to run
-        code is refused, never executed), the field that is unknown or missing, or the tensors that are
-        missing, left over, of another shape or damaged.
-    """
-    dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
-    config = _config(dictionary_dir, ar_dir)
-    stage1 = read_tensors(dictionary_dir / WEIGHTS_FILE)
-    stage2 = read_tensors(ar_dir / WEIGHTS_FILE)
-    where1, where2 = (str(folder / WEIGHTS_FILE) for folder in (dictionary_dir, ar_dir))
-    dictionary = filled(lambda: Dictionary(config), _together(stage1, _STAGE1, where1), where1)
-    sequence_model = filled(
-        lambda: PublishedSequenceModel(config), _together(stage2, _STAGE2, where2), where2
-    )
-    both = {**stage1, **stage2}
-    used = (*_STAGE1, *_STAGE2)
-    report = ImportReport(
-        tuple(ImportedState(n, len(both[n]), sum(t.numel() for t in both[n].values())) for n in used),
-        _epoch(stage1),
-        _epoch(stage2),
-        tuple(sorted({str(name) for name in both} - {*used})),
-    )
-    metadata = {"source": "published checkpoint", "epochs": [report.dictionary_epoch, report.sequence_epoch]}
-    return ImportedModel(Checkpoint(config, robot, dictionary, sequence_model, metadata), report)
-
-
-def _config(dictionary_dir: Path, ar_dir: Path) -> sizes.ModelConfig:
-    stage1 = _fields(dictionary_dir / "model_params.json", (*_SIZES, "n_position", "c_space_dim"))
-    context = _fields(ar_dir / "cross_attn.json", (*_SIZES, "d_context"))
-    sequence = _fields(ar_dir / "ar_params.json", (*_SIZES, "num_keys"))
-    if context["d_context"] != stage1["c_space_dim"]:
-        raise InvalidInputError(
-            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the dictionary's "
-            f"c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
-        )
-    if sequence["num_keys"] < 3:
-        raise InvalidInputError(f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes")
-    with located(f"{dictionary_dir} and {ar_dir}"):
-        return _model_config(stage1, context, sequence)
-
-
-def _model_config(
-    stage1: Mapping[str, Any], context: Mapping[str, Any], sequence: Mapping[str, Any]
-) -> sizes.ModelConfig:
-    return sizes.ModelConfig(
-        kind="published",
-        joint_dim=stage1["c_space_dim"],
-        dictionary=sizes.DictionaryConfig(
-            transformer=_sizes(stage1),
-            n_position=stage1["n_position"],
-            n_codes=sequence["num_keys"] - 2,
-            code_dim=CODE_DIM,
-        ),
-        point_cloud=sizes.PointCloudConfig(
-            sa2=sizes.SetAbstractionConfig(radius=0.4, widths=(256, stage1["d_model"])),
-        ),
-        sequence=sizes.SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
-    )
-
-
-def _sizes(fields: Mapping[str, Any]) -> sizes.TransformerConfig:
-    return sizes.TransformerConfig(**{name: fields[name] for name in _SIZES})
-
-
-def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    """Read exactly the named numbers from a json file."""
-    data = read_json_object(require_regular_file(path))
-    for name in (*data, *names):
-        if name not in names or name not in data:
-            state = "unknown" if name not in names else "missing"
-            raise InvalidInputError(f"{path}: {name} is {state}; fields: {', '.join(names)}")
-        from_plain(float if name == "dropout" else int, data[name], f"{path}: {name}")
-    return data
-
-
-def _together(content: Mapping[str, Any], places: Mapping[str, str], where: str) -> dict[str, Tensor]:
-    """All tensors of a stage by the names that our module has for them."""
-    tensors: dict[str, Tensor] = {}
-    for name, part in places.items():
-        state = content.get(name)
-        if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
-            raise InvalidInputError(
-                f"{where}: {name} is missing or not made of tensors; the file has {', '.join(map(str, content))}"
-            )
-        tensors |= {f"{part}.{key}": tensor for key, tensor in state.items()}
-    return tensors
-
-
-def _epoch(content: Mapping[str, Any]) -> int | None:
-    epoch = content.get("epoch")
-    return epoch if isinstance(epoch, int) else None

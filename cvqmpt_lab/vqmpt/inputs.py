@@ -1,4 +1,4 @@
-"""What may be given as a point cloud, as an array or a tensor."""
+"""What networks take in beside normalised joints: point clouds, and the kinematics of link-position features."""
 
 import math
 from dataclasses import dataclass
@@ -9,18 +9,16 @@ import numpy as np
 from cvqmpt_lab.codec.forms import Array, FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 
-LARGEST_EXTENT = 50.0
-"""Of a cloud [m]; a larger one was almost surely given in millimetres."""
+LARGEST_EXTENT = 50.0  # of a cloud [m]; a larger one was almost surely given in millimetres
 
 
 def require_point_cloud(points: Any) -> None:
-    """Check a cloud (..., n, 3) [m], an array or a tensor.
+    """Check a cloud (..., m, 3) [m], an array or a tensor.
 
     Raises
     ------
     InvalidInputError
-        When it has fewer than two points, a wrong shape, NaN or infinite values, or is so large that
-        its unit cannot be metres.
+        For fewer than two points, another shape, NaN, or an extent that cannot be metres.
     """
     if points.ndim < 2 or points.shape[-1] != 3:
         raise InvalidInputError(f"point cloud of shape {tuple(points.shape)}; it must be (n, 3) [m]")
@@ -38,13 +36,7 @@ def require_point_cloud(points: Any) -> None:
 
 
 def checked_cloud(cloud: np.ndarray) -> np.ndarray:
-    """A cloud (m, 3) [m, robot base frame] as contiguous float32.
-
-    Raises
-    ------
-    InvalidInputError
-        For fewer than two points, another shape, NaN, or an extent that cannot be metres.
-    """
+    """A cloud (m, 3) [m, robot base frame] as contiguous float32; errors as of `require_point_cloud`."""
     try:
         points = np.asarray(cloud, dtype=float)
     except (TypeError, ValueError) as error:
@@ -55,7 +47,6 @@ def checked_cloud(cloud: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points, dtype=np.float32)
 
 
-# Kinematics whose link positions are features of a model, as plain data that is kept beside its weights.
 @dataclass(frozen=True, eq=False)
 class SerialChain:
     """Joints in a row, each turning about its own z axis or sliding along it, and points fixed to their links.
@@ -63,16 +54,11 @@ class SerialChain:
     frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base; for sliders Tz(q_j).
     """
 
-    rotation: Annotated[FloatArray, Array((None, 3, 3))]
-    """(n, 3, 3), from one joint's frame to the next."""
-    translation: Annotated[FloatArray, Array((None, 3), "[m]")]
-    """(n, 3) [m], likewise."""
-    points: tuple[int, ...]
-    """(k,), the frame that each point moves with."""
-    offsets: Annotated[FloatArray, Array((None, 3), "[m]")]
-    """(k, 3) [m], where in that frame."""
-    sliders: tuple[int, ...] = ()
-    """The joints that slide."""
+    rotation: Annotated[FloatArray, Array((None, 3, 3))]  # (n, 3, 3), from one joint's frame to the next
+    translation: Annotated[FloatArray, Array((None, 3), "[m]")]  # (n, 3) [m], likewise
+    points: tuple[int, ...]  # (k,), the frame that each point moves with
+    offsets: Annotated[FloatArray, Array((None, 3), "[m]")]  # (k, 3) [m], where in that frame
+    sliders: tuple[int, ...] = ()  # the joints that slide
 
     def __post_init__(self) -> None:
         joints = len(self.rotation)

@@ -1,26 +1,10 @@
-"""MPNet: one network encodes the cloud, another proposes the next configuration on the way to the goal."""
+"""MPNet, a baseline: one network encodes the cloud, another proposes the next configuration on the way to the goal."""
 
 import torch
 from torch import Tensor, nn
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.inputs import require_point_cloud
-
-
-class Dropout(nn.Module):
-    """Dropout that can stay on after training, and can draw from a generator."""
-
-    def __init__(self, probability: float) -> None:
-        super().__init__()
-        self.probability = probability
-
-    def forward(self, x: Tensor, active: bool, generator: torch.Generator | None) -> Tensor:
-        """Drop units of x and scale up the others, when active."""
-        if not active or self.probability == 0.0:
-            return x
-        kept = torch.rand(x.shape, generator=generator, device=x.device) >= self.probability
-        return x * kept / (1.0 - self.probability)
 
 
 class MPNet(nn.Module):
@@ -39,11 +23,10 @@ class MPNet(nn.Module):
             nn.Sequential(nn.Linear(before, after), nn.PReLU())
             for before, after in zip(widths, config.planner_widths, strict=False)
         )
-        self.dropout = Dropout(config.dropout)
         self.out = nn.Linear(widths[-1], config.joint_dim)
 
     def encode(self, points: Tensor) -> Tensor:
-        """Codes (b, code_dim) of clouds (b, n_points, 3) [m], as `draw_points` gives them."""
+        """Codes (b, code_dim) of clouds (b, n_points, 3) [m], points in any order."""
         if points.shape[1:] != (self.config.n_points, 3):
             raise InvalidInputError(
                 f"clouds are {tuple(points.shape[1:])}; this network takes ({self.config.n_points}, 3)"
@@ -75,19 +58,14 @@ class MPNet(nn.Module):
         x = torch.cat((code, current, goal), dim=-1)
         for i, layer in enumerate(self.hidden):
             x = layer(x)
-            if i < len(self.hidden) - 1:
-                x = self.dropout(x, stochastic, generator)
+            if stochastic and i < len(self.hidden) - 1:
+                x = dropout(x, self.config.dropout, generator)
         return self.out(x)
 
 
-def draw_points(cloud: Tensor, count: int, generator: torch.Generator | None = None) -> Tensor:
-    """Draw points (count, 3) of a cloud (n, 3) without replacement; all of them again when they run out.
-
-    Raises
-    ------
-    InvalidInputError
-        For clouds that `require_point_cloud` refuses.
-    """
-    require_point_cloud(cloud)
-    order = torch.randperm(len(cloud), generator=generator)
-    return cloud[order[torch.arange(count) % len(cloud)].to(cloud.device)]
+def dropout(x: Tensor, probability: float, generator: torch.Generator | None = None) -> Tensor:
+    """Drop units of x and scale up the others; unlike torch's own, repeatable by a generator."""
+    if probability == 0.0:
+        return x
+    left = torch.rand(x.shape, generator=generator, device=x.device) >= probability
+    return x * left / (1.0 - probability)

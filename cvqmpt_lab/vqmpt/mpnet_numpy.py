@@ -1,117 +1,51 @@
-"""Layers of trained networks in numpy: for a few rows a torch call costs several times what it computes."""
+"""MPNet at planning time, in numpy: one proposal at a time, repeatable by seed.
 
-from dataclasses import dataclass
+For one row a torch call takes several times what it computes; several rows at once gain nothing, because a product
+with one row reads each weight once and needs no preparation. Same mathematics as `mpnet_network`, which is trained.
+"""
+
 from itertools import pairwise
-from typing import Self
 
 import numpy as np
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.inputs import checked_cloud
-from cvqmpt_lab.vqmpt.weights import StoredModel, Tensors
+from cvqmpt_lab.vqmpt.weights import StoredModel
 
-
-@dataclass(frozen=True, eq=False)
-class Affine:
-    """x -> x @ weight + bias, of rows x (r, d)."""
-
-    weight: np.ndarray
-    """(d, m) float32."""
-    bias: np.ndarray
-    """(m,) float32."""
-
-    @classmethod
-    def folded(cls, weight: np.ndarray, bias: np.ndarray) -> Self:
-        """Of a torch layer's weight (m, d) and bias (m,) in float64."""
-        return cls(np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32))
-
-    @classmethod
-    def of(cls, tensors: Tensors, name: str, inner: int, outer: int, norm: str | None = None) -> Self:
-        """A linear layer by name; scale and shift of the layer norm before it, if one is named, are folded in."""
-        weight, bias = tensors(f"{name}.weight", outer, inner), tensors(f"{name}.bias", outer)
-        if norm is not None:
-            bias = bias + weight @ tensors(f"{norm}.bias", inner)
-            weight = weight * tensors(f"{norm}.weight", inner)
-        return cls.folded(weight, bias)
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Map rows."""
-        y = x @ self.weight
-        y += self.bias
-        return y
-
-
-@dataclass(frozen=True, eq=False)
-class Perceptron:
-    """Linear layers with a ReLU between each two."""
-
-    layers: tuple[Affine, ...]
-
-    @classmethod
-    def of(cls, tensors: Tensors, name: str, *widths: int) -> Self:
-        """The layers of a torch sequence of that name, in which every second module is a ReLU."""
-        pairs = enumerate(pairwise(widths))
-        return cls(tuple(Affine.of(tensors, f"{name}.{2 * i}", *pair) for i, pair in pairs))
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Map rows (r, d)."""
-        for layer in self.layers[:-1]:
-            x = layer(x)
-            np.maximum(x, 0.0, out=x)
-        return self.layers[-1](x)
-
-
-def normalised(x: np.ndarray, epsilon: float) -> np.ndarray:
-    """Layer norm of rows x (r, d) without scale and shift."""
-    d = x.shape[1]
-    y = x - np.add.reduce(x, axis=1, keepdims=True) / d
-    y *= 1.0 / np.sqrt(np.add.reduce(y * y, axis=1, keepdims=True) / d + epsilon)
-    return y
-
-
-# MPNet made ready for planning on a CPU: one proposal at a time, in numpy, repeatable by seed.
-@dataclass(frozen=True, eq=False)
-class _Layer:
-    """A linear map and its activation."""
-
-    affine: Affine
-    slope: np.ndarray
-    """(1,), what negative values are multiplied by."""
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        y = self.affine(x)
-        return np.where(y > 0.0, y, self.slope * y)
+PART = "mpnet"
 
 
 class MPNetNetwork:
-    """MPNet's weights, ready to propose; the same mathematics as `mpnet_network`, which trains it."""
+    """MPNet's weights, ready to propose."""
 
     def __init__(self, model: StoredModel) -> None:
         """Take the weights over; raises InvalidInputError when they do not fit the configuration."""
         self.config: MPNetConfig = model.config
-        config, tensors = self.config, model.part("mpnet")
-        widths = (3 * config.n_points, *config.encoder_widths)
-        last = len(config.encoder_widths)
+        config = self.config
+        encoder = (3 * config.n_points, *config.encoder_widths)
+        hidden = (config.code_dim + 2 * config.joint_dim, *config.planner_widths)
+        last = 2 * len(config.encoder_widths)
         self._encoder = [
-            _layer(tensors, f"encoder.{2 * i}", f"encoder.{2 * i + 1}", widths[i], widths[i + 1])
-            for i in range(last)
+            _Layer(model, f"encoder.{2 * i}", *widths, slope=f"encoder.{2 * i + 1}")
+            for i, widths in enumerate(pairwise(encoder))
         ]
-        self._code = Affine.of(tensors, f"encoder.{2 * last}", widths[-1], config.code_dim)
-        widths = (config.code_dim + 2 * config.joint_dim, *config.planner_widths)
+        self._encoder.append(_Layer(model, f"encoder.{last}", encoder[-1], config.code_dim))
         self._hidden = [
-            _layer(tensors, f"hidden.{i}.0", f"hidden.{i}.1", widths[i], widths[i + 1])
-            for i in range(len(config.planner_widths))
+            _Layer(model, f"hidden.{i}.0", *widths, slope=f"hidden.{i}.1")
+            for i, widths in enumerate(pairwise(hidden))
         ]
-        self._out = Affine.of(tensors, "out", widths[-1], config.joint_dim)
-        tensors.require_used()
+        self._out = _Layer(model, "out", hidden[-1], config.joint_dim)
+        expected = 2 + sum(2 if layer.slope is None else 3 for layer in (*self._encoder, *self._hidden))
+        if len(model.parts[PART]) != expected:
+            raise InvalidInputError(
+                f"{PART} does not fit its configuration: {len(model.parts[PART])} arrays, not {expected}"
+            )
 
     def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Points (n_points, 3) of a cloud (m, 3) [m] in random order; all of them again when they run out.
 
-        Raises
-        ------
-        InvalidInputError
-            For fewer than two points, another shape, NaN, or an extent that cannot be metres.
+        Raises InvalidInputError for a cloud that `checked_cloud` refuses.
         """
         points = checked_cloud(cloud)
         return points[rng.permutation(len(points))[np.arange(self.config.n_points) % len(points)]]
@@ -121,7 +55,7 @@ class MPNetNetwork:
         x = np.ascontiguousarray(points, dtype=np.float32).ravel()
         for layer in self._encoder:
             x = layer(x)
-        return self._code(x)
+        return x
 
     def propose(
         self,
@@ -144,6 +78,17 @@ class MPNetNetwork:
         return self._out(x)
 
 
-def _layer(tensors: Tensors, linear: str, slope: str, before: int, after: int) -> _Layer:
-    affine = Affine.of(tensors, linear, before, after)
-    return _Layer(affine, tensors(f"{slope}.weight", 1).astype(np.float32))
+class _Layer:
+    """x -> W x + b, then a PReLU where a slope is named."""
+
+    def __init__(
+        self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None
+    ) -> None:
+        weight, bias = model.linear(PART, name, inputs, outputs)
+        self.weight, self.bias = np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32)
+        self.slope = None if slope is None else model.array(PART, f"{slope}.weight", 1).astype(np.float32)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        y = x @ self.weight
+        y += self.bias
+        return y if self.slope is None else np.where(y > 0.0, y, self.slope * y)

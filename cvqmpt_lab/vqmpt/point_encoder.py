@@ -1,4 +1,8 @@
-"""Farthest point sampling and ball queries on batches of clouds, deterministic."""
+"""Feature extractor of stage 2: PointNet++ set abstraction, from a point cloud to scene tokens e_1 ... e_n.
+
+Two levels. Each takes farthest points as centres p_i and summarises the ball around each by the maximum, over its
+points p_j with features x_j, of a perceptron of [x_j, p_j - p_i].
+"""
 
 import math
 from dataclasses import dataclass
@@ -10,29 +14,83 @@ from torch import Tensor, nn
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import PointCloudConfig, SetAbstractionConfig
 
-_PAIRS_AT_ONCE = 1 << 17
-"""Distances held at once: half a megabyte, so that they stay in the cache."""
+PAIRS_AT_ONCE = 1 << 17  # distances held at once: half a megabyte, so that they stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
-    """Pairs of a centre and one of its neighbours."""
+class TokenLevel:
+    """Tokens of one level."""
 
-    point: Tensor
-    """(e,) int64, index into the clouds' points laid end to end; ascends for one centre."""
-    centre: Tensor
-    """(e,) int64, index into the centres, likewise; ascends."""
+    features: Tensor  # (b, m, d)
+    centres: Tensor  # (b, m, 3): the points they stand for [m]
+
+
+class PointConvolution(nn.Module):
+    """Perceptron over every edge [x_j, p_j - p_i], maximum over the edges of a centre.
+
+    Each layer is linear, ReLU, batch norm, in this order; the statistics are taken over edges.
+    """
+
+    def __init__(self, input_dim: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.local_nn = nn.Sequential(
+            *(
+                nn.Sequential(nn.Linear(before, after), nn.ReLU(), nn.BatchNorm1d(after))
+                for before, after in zip((input_dim + 3, *widths), widths, strict=False)
+            )
+        )
+
+    def forward(self, edges: Tensor, centre: Tensor, n_centres: int) -> Tensor:
+        """Reduce edges (e, d + 3) to centres (n_centres, widths[-1]).
+
+        centre (e,) int64, ascending: the centre each edge belongs to; every centre has at least one edge.
+        """
+        messages = self.local_nn(edges)
+        if messages.requires_grad:  # the same values; slower, but with a far faster gradient
+            lengths = torch.bincount(centre, minlength=n_centres)
+            return torch.segment_reduce(messages, "max", lengths=lengths, axis=0, unsafe=True)
+        index = centre[:, None].expand_as(messages)
+        start = messages.new_zeros(n_centres, messages.shape[-1])
+        return start.scatter_reduce(0, index, messages, "amax", include_self=False)
+
+
+class SetAbstraction(nn.Module):
+    """One level."""
+
+    def __init__(self, input_dim: int, config: SetAbstractionConfig) -> None:
+        super().__init__()
+        self.conv = PointConvolution(input_dim, config.widths)
+        self.config = config
+
+    def forward(self, level: TokenLevel) -> TokenLevel:
+        """Abstract features (b, n, d) at n points to fewer centres."""
+        points, features = level.centres, level.features
+        chosen = farthest_point_sampling(points, math.ceil(self.config.ratio * points.shape[1]))
+        centres = points.gather(1, chosen[..., None].expand(-1, -1, 3))
+        batch, m = centres.shape[:2]
+        point, centre = ball_query(points, centres, self.config.radius, self.config.max_neighbours)
+        offsets = points.reshape(-1, 3)[point] - centres.reshape(-1, 3)[centre]
+        edges = torch.cat((features.flatten(0, 1)[point], offsets), dim=-1)
+        return TokenLevel(self.conv(edges, centre, batch * m).unflatten(0, (batch, m)), centres)
+
+
+class PointCloudEncoder(nn.Module):
+    """Two set abstractions on raw metric points; no further code of position is added."""
+
+    def __init__(self, config: PointCloudConfig) -> None:
+        super().__init__()
+        self.sa1_module = SetAbstraction(3, config.sa1)
+        self.sa2_module = SetAbstraction(config.sa1.widths[-1], config.sa2)
+
+    def forward(self, points: Tensor) -> TokenLevel:
+        """Encode clouds (b, n, 3) [m, robot base frame], checked by `require_point_cloud`."""
+        return self.sa2_module(self.sa1_module(TokenLevel(points, points)))
 
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
     """Indices (b, count) of points (b, n, 3), each the farthest from those before it; the first is 0.
 
-    Ties go to the lowest index.
-
-    Raises
-    ------
-    InvalidInputError
-        When count is not in 1..n.
+    Ties go to the lowest index. InvalidInputError when count is not in 1..n.
     """
     n = points.shape[1]
     if not 1 <= count <= n:
@@ -72,20 +130,16 @@ def _farthest_of_batch(points: Tensor, count: int) -> Tensor:
     return indices
 
 
-def ball_query(points: Tensor, centres: Tensor, radius: float, max_neighbours: int) -> Edges:
-    """Neighbours closer than radius [m] to each centre; of too many, those of lowest index.
+def ball_query(points: Tensor, centres: Tensor, radius: float, max_neighbours: int) -> tuple[Tensor, Tensor]:
+    """Pairs (e,), (e,) int64 of a point of (b, n, 3) [m] and a centre of (b, m, 3) [m] closer than radius [m].
 
-    Parameters
-    ----------
-    points
-        (b, n, 3) [m].
-    centres
-        (b, m, 3) [m]; a centre that is one of the points is its own neighbour.
+    Both are indices into the clouds laid end to end; centres ascend, and the points of one centre too. Of more than
+    max_neighbours those of lowest index are taken. A centre that is one of the points is its own neighbour.
     """
     batch, n, m = len(points), points.shape[1], centres.shape[1]
     axes = points.mT.contiguous()
     near = torch.empty(batch, m, n, dtype=torch.bool, device=points.device)
-    at_once = max(1, _PAIRS_AT_ONCE // (batch * n))
+    at_once = max(1, PAIRS_AT_ONCE // (batch * n))
     for first in range(0, m, at_once):
         block = centres[:, first : first + at_once, :, None]
         squares = (axes[:, None, 0] - block[:, :, 0]).square_()
@@ -95,9 +149,9 @@ def ball_query(points: Tensor, centres: Tensor, radius: float, max_neighbours: i
     row, point = _true_places(near.flatten(0, 1))
     sizes = torch.bincount(row, minlength=batch * m)
     rank = torch.arange(len(row), device=row.device) - (sizes.cumsum(0) - sizes)[row]
-    kept = rank < max_neighbours
-    row, point = row[kept], point[kept]
-    return Edges(row // m * n + point, row)
+    first_ones = rank < max_neighbours
+    row, point = row[first_ones], point[first_ones]
+    return row // m * n + point, row
 
 
 def _true_places(mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -107,86 +161,3 @@ def _true_places(mask: Tensor) -> tuple[Tensor, Tensor]:
         return row, column
     flat = torch.from_numpy(np.flatnonzero(mask.numpy()))
     return flat // mask.shape[1], flat % mask.shape[1]
-
-
-# PointNet++ set abstraction: a point cloud becomes scene tokens.
-@dataclass(frozen=True, eq=False)
-class TokenLevel:
-    """Tokens of one level."""
-
-    features: Tensor
-    """(b, m, d)."""
-    centres: Tensor
-    """(b, m, 3): the points they stand for [m]."""
-
-
-class PointConvolution(nn.Module):
-    """Perceptron over every edge [x_j, p_j - p_i], maximum over the edges of a centre.
-
-    Each layer is linear, ReLU, batch norm, in this order; the statistics are taken over edges.
-    """
-
-    def __init__(self, input_dim: int, widths: tuple[int, ...]) -> None:
-        super().__init__()
-        self.local_nn = nn.Sequential(
-            *(
-                nn.Sequential(nn.Linear(before, after), nn.ReLU(), nn.BatchNorm1d(after))
-                for before, after in zip((input_dim + 3, *widths), widths, strict=False)
-            )
-        )
-
-    def forward(self, features: Tensor, offsets: Tensor, centre: Tensor, n_centres: int) -> Tensor:
-        """Reduce edges to centres.
-
-        Parameters
-        ----------
-        features, offsets
-            (e, d), (e, 3) [m]: of each edge's neighbour; offsets from the centre to it.
-        centre
-            (e,) int64, ascending: the centre each edge belongs to; every centre has at least one edge.
-
-        Returns
-        -------
-        (n_centres, widths[-1]).
-        """
-        messages = self.local_nn(torch.cat((features, offsets), dim=-1))
-        if messages.requires_grad:  # the same values, dearer, but with a far cheaper gradient
-            lengths = torch.bincount(centre, minlength=n_centres)
-            return torch.segment_reduce(messages, "max", lengths=lengths, axis=0, unsafe=True)
-        index = centre[:, None].expand_as(messages)
-        start = messages.new_zeros(n_centres, messages.shape[-1])
-        return start.scatter_reduce(0, index, messages, "amax", include_self=False)
-
-
-class SetAbstraction(nn.Module):
-    """Farthest points as centres, the ball around each summarised by a point convolution."""
-
-    def __init__(self, input_dim: int, config: SetAbstractionConfig) -> None:
-        super().__init__()
-        self.conv = PointConvolution(input_dim, config.widths)
-        self.config = config
-
-    def forward(self, level: TokenLevel) -> TokenLevel:
-        """Abstract features (b, n, d) at n points to fewer centres."""
-        points, features = level.centres, level.features
-        chosen = farthest_point_sampling(points, math.ceil(self.config.ratio * points.shape[1]))
-        centres = points.gather(1, chosen[..., None].expand(-1, -1, 3))
-        batch, m = centres.shape[:2]
-        edges = ball_query(points, centres, self.config.radius, self.config.max_neighbours)
-        offsets = points.reshape(-1, 3)[edges.point] - centres.reshape(-1, 3)[edges.centre]
-        neighbours = features.flatten(0, 1)[edges.point]
-        pooled = self.conv(neighbours, offsets, edges.centre, batch * m)
-        return TokenLevel(pooled.unflatten(0, (batch, m)), centres)
-
-
-class PointCloudEncoder(nn.Module):
-    """Two set abstractions on raw metric points; no further code of position is added."""
-
-    def __init__(self, config: PointCloudConfig) -> None:
-        super().__init__()
-        self.sa1_module = SetAbstraction(3, config.sa1)
-        self.sa2_module = SetAbstraction(config.sa1.widths[-1], config.sa2)
-
-    def forward(self, points: Tensor) -> TokenLevel:
-        """Encode clouds (b, n, 3) [m, robot base frame], checked by `require_point_cloud`."""
-        return self.sa2_module(self.sa1_module(TokenLevel(points, points)))

@@ -1,19 +1,31 @@
-"""Published stage 2, first half: start and goal look at the scene."""
+"""Stage 2 of VQ-MPT, as published: from scene, start and goal to a sequence of codes.
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+Set abstraction turns the point cloud into scene tokens E. Start and goal, embedded by a perceptron, attend to E and
+give the context M (two tokens). The autoregressive transformer predicts the next code (paper, eqn. ar_prob),
+
+    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = p_i,   i one of the N codes or the goal token.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.attention import CrossAttentionLayer, SelfAttentionLayer
-from cvqmpt_lab.vqmpt.beam_search import StepDecoder, rows_per_scene
+from cvqmpt_lab.vqmpt.beam_search import StepDecoder
 from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, PointCloudConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, Quantizer
 from cvqmpt_lab.vqmpt.inputs import require_point_cloud
 from cvqmpt_lab.vqmpt.point_encoder import PointCloudEncoder
+
+START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code
+MOST_PREFIXES = 40  # training samples taken of one sequence
+
+Scene = tuple[Tensor, Tensor]
+"""Scene tokens (s, m, d_model), padded to the scene with most of them, and which are no padding (s, m) bool."""
 
 
 class CrossAttentionContext(nn.Module):
@@ -32,7 +44,7 @@ class CrossAttentionContext(nn.Module):
         self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
 
     def forward(self, start_goal: Tensor, scene: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Map start_goal (b, 2, joint_dim), scene (b, m, d_model), visible (b, m) to (b, 2, d_model)."""
+        """Map start_goal (b, 2, joint_dim), scene (b, m, d_model), visible (b, m) to M (b, 2, d_model)."""
         tokens = self.to_latent_embedding(start_goal)
         for layer in self.layer_stack:
             tokens = layer(tokens, scene, visible)
@@ -47,11 +59,8 @@ class SceneContext(nn.Module):
         self.env_encoder = PointCloudEncoder(point_cloud)
         self.context_encoder = CrossAttentionContext(joint_dim, sizes)
 
-    def encode_scene(self, clouds: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """Tokens (b, m, d_model) of clouds (n_i, 3) [m], padded to the longest, and which are real (b, m).
-
-        Batch norm statistics are per cloud when training on clouds of unequal sizes.
-        """
+    def encode_scene(self, clouds: list[Tensor]) -> Scene:
+        """Tokens of clouds (n_i, 3) [m]; batch norm statistics are per cloud when clouds differ in size."""
         if len({len(cloud) for cloud in clouds}) == 1:
             tokens = self.env_encoder(torch.stack(clouds)).features
             return tokens, tokens.new_ones(tokens.shape[:2], dtype=torch.bool)
@@ -62,79 +71,8 @@ class SceneContext(nn.Module):
         return padded, torch.arange(longest, device=padded.device) < sizes[:, None]
 
 
-# Decoding with a model that keeps nothing between two codes.
-class PrefixDecoder:
-    """A `decoding.StepDecoder` that keeps nothing and runs the model on whole prefixes."""
-
-    def __init__(self, queries: Tensor, logits_of: Callable[[Tensor, Tensor], Tensor]) -> None:
-        """Decode for queries (q,), their indices.
-
-        `logits_of` maps query indices (rows,) and prefixes (rows, t) to logits (rows, n_classes).
-        """
-        self._queries = queries
-        self._codes = queries.new_zeros(len(queries), 0)
-        self._logits_of = logits_of
-
-    def start(self) -> np.ndarray:
-        """Logits (queries, n_classes) of the first code."""
-        return self._logits()
-
-    def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
-        """Replace the rows; see `decoding.StepDecoder`."""
-        rows, added = (torch.from_numpy(given).to(self._queries.device) for given in (parents, codes))
-        self._queries, self._codes = (
-            self._queries[rows],
-            torch.cat((self._codes[rows], added[:, None]), dim=1),
-        )
-        return self._logits()
-
-    @torch.inference_mode()
-    def _logits(self) -> np.ndarray:
-        return self._logits_of(self._queries, self._codes).float().cpu().numpy()
-
-
-# Published stage 2: scene, start and goal to a sequence of codes.
-START_TOKEN = -1.0
-"""Every entry of the vector that stands between the context and the first code."""
-MOST_PREFIXES = 40
-"""Training samples taken of one sequence."""
-
-
-@dataclass(frozen=True, eq=False)
-class PublishedScene:
-    """Encoded scenes, padded to the one with most tokens."""
-
-    tokens: Tensor
-    """(s, m, d_model)."""
-    visible: Tensor
-    """(s, m) bool: no padding."""
-
-
-@dataclass(frozen=True, eq=False)
-class PrefixSamples:
-    """Training samples of one sequence, prefixes of it."""
-
-    codes: Tensor
-    """(p, n) int64."""
-    lengths: Tensor
-    """(p,) int64: how many of them count."""
-    targets: Tensor
-    """(p,) int64: the class that follows."""
-
-
-def prefix_samples(codes: Tensor, goal_class: int) -> PrefixSamples:
-    """Every prefix of codes (n,) and the next code, the goal class after the last.
-
-    Never more than 40 (published code): the first ones, of 80 and more every k-th.
-    """
-    following = torch.cat((codes, codes.new_tensor([goal_class])))
-    every = max(1, len(following) // MOST_PREFIXES)
-    lengths = torch.arange(0, len(following), every, device=codes.device)[:MOST_PREFIXES]
-    return PrefixSamples(codes.expand(len(lengths), -1), lengths, following[lengths])
-
-
 class AutoRegressiveModel(nn.Module):
-    """Transformer without position code whose visible tokens all look at each other."""
+    """Transformer without position code whose visible tokens all attend to each other."""
 
     def __init__(self, n_classes: int, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -150,9 +88,9 @@ class AutoRegressiveModel(nn.Module):
 
 
 class PublishedSequenceModel(nn.Module):
-    """Context and autoregressive model: P(next code | scene, start, goal, codes so far).
+    """Context and autoregressive model.
 
-    The sequence is [start, goal, S, c_1, ..., c_i]. Since tokens are not causal, each prefix is a
+    The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. Since tokens are not causal, each prefix is a
     sample of its own, and prediction is read at its last token. Codes enter through the dictionary's
     `Quantizer.lookup`, without gradient.
     """
@@ -163,26 +101,25 @@ class PublishedSequenceModel(nn.Module):
         self.context = SceneContext(config.joint_dim, point_cloud, sequence.context)
         self.autoregressive = AutoRegressiveModel(config.goal_class + 1, sequence.transformer)
 
-    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> PublishedScene:
-        """Encode clouds (n_i, 3) [m, robot base frame].
-
-        Raises
-        ------
-        InvalidInputError
-            For clouds that `require_point_cloud` refuses.
-        """
+    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Scene:
+        """Encode clouds (n_i, 3) [m, robot base frame]; errors as of `require_point_cloud`."""
         for cloud in clouds:
             require_point_cloud(cloud)
-        return PublishedScene(*self.context.encode_scene(list(clouds)))
+        return self.context.encode_scene(list(clouds))
 
-    def encode_context(self, scene: PublishedScene, start: Tensor, goal: Tensor) -> Tensor:
-        """Context tokens (b, 2, d_model) of starts and goals (b, joint_dim).
+    @torch.inference_mode()
+    def encode_cloud(self, points: np.ndarray) -> Scene:
+        """Encode one cloud (m, 3) float32 [m, robot base frame], for planning."""
+        return self.encode_scene([torch.tensor(points)])
 
-        Rows are grouped by scene, equally many each.
-        """
-        times = rows_per_scene(len(start), len(scene.tokens))
-        tokens = scene.tokens.repeat_interleave(times, 0)
-        visible = scene.visible.repeat_interleave(times, 0)
+    def encode_context(self, scene: Scene, start: Tensor, goal: Tensor) -> Tensor:
+        """Context M (b, 2, d_model) of starts and goals (b, joint_dim), grouped by scene, equally many each."""
+        times, left = divmod(len(start), len(scene[0]))
+        if left:
+            raise InvalidInputError(
+                f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for each"
+            )
+        tokens, visible = (part.repeat_interleave(times, 0) for part in scene)
         return self.context.context_encoder(torch.stack((start, goal), 1), tokens, visible)
 
     def prefix_logits(
@@ -211,13 +148,43 @@ class PublishedSequenceModel(nn.Module):
         visible = torch.arange(tokens.shape[1], device=tokens.device) < 3 + lengths[:, None]
         return self.autoregressive(tokens, 2 + lengths, visible)
 
+    @torch.inference_mode()
     def decoder(
-        self, dictionary: Dictionary, scene: PublishedScene, start: Tensor, goal: Tensor
+        self, dictionary: Dictionary, scene: Scene, start: np.ndarray | Tensor, goal: np.ndarray | Tensor
     ) -> StepDecoder:
-        """Decoder for starts and goals (q, joint_dim), queries grouped by scene."""
-        context = self.encode_context(scene, start, goal)
+        """What beam search asks, for starts and goals (q, joint_dim), queries grouped by scene."""
+        context = self.encode_context(scene, torch.as_tensor(start), torch.as_tensor(goal))
+        return _PrefixDecoder(self, dictionary.quantizer, context)
 
-        def logits_of(queries: Tensor, sequences: Tensor) -> Tensor:
-            return self.prefix_logits(context[queries], sequences, dictionary.quantizer)
 
-        return PrefixDecoder(torch.arange(len(start), device=start.device), logits_of)
+class _PrefixDecoder:
+    """A `StepDecoder` that keeps the prefixes alone and runs the model on all of each."""
+
+    def __init__(self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor) -> None:
+        self._model, self._quantizer, self._context = model, quantizer, context  # context (rows, 2, d_model)
+        self._codes = torch.zeros(len(context), 0, dtype=torch.int64, device=context.device)
+
+    def start(self) -> np.ndarray:
+        """Logits (queries, n_classes) of the first code."""
+        return self._logits()
+
+    def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
+        """Replace the rows; see `StepDecoder`."""
+        rows, added = (torch.from_numpy(given).to(self._context.device) for given in (parents, codes))
+        self._context = self._context[rows]
+        self._codes = torch.cat((self._codes[rows], added[:, None]), dim=1)
+        return self._logits()
+
+    @torch.inference_mode()
+    def _logits(self) -> np.ndarray:
+        logits = self._model.prefix_logits(self._context, self._codes, self._quantizer)
+        return logits.float().cpu().numpy()
+
+
+def prefix_lengths(count: int) -> Tensor:
+    """Lengths (p,) of the prefixes of `count` codes that are training samples; after the whole follows the goal token.
+
+    Never more than 40 (published code): the first ones, of sequences of 80 and more every k-th.
+    """
+    every = max(1, (count + 1) // MOST_PREFIXES)
+    return torch.arange(0, count + 1, every)[:MOST_PREFIXES]

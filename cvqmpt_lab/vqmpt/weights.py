@@ -1,11 +1,16 @@
-"""Which robot weights were trained for: what is kept beside them, and compared with the robot at hand."""
+"""Weights on disk, found by name or folder and read as plain arrays: all that planning needs of a trained model.
+
+A folder of weights holds ``config.json`` (architecture, sizes, the robot it was trained for, sha256 of each file,
+free metadata) and one safetensors file for each part of the model. It is written beside its place and moved there
+when it is complete.
+"""
 
 import hashlib
 import json
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,76 +25,62 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file, write_bytes
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 
-LIMIT_TOLERANCE = 1e-4
-"""Joint limits that differ by less are the same robot's [rad or m]."""
+FORMAT = "cvqmpt-model-1"
+CONFIG_FILE = "config.json"
+TRAINED_FOLDER = "model"  # where in its folder a training leaves its best weights
+VQ_MPT, MPNET = "vq-mpt", "mpnet"  # architectures
+CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
+PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight"), MPNET: ("mpnet",)}
+"""Files of each architecture. The first is always there; of VQ-MPT's others those that were trained."""
+WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
+SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
+"""Names and architectures of the weights that come with the package; the first of each is the default."""
+LIMIT_TOLERANCE = 1e-4  # joint limits that differ by less are the same robot's [rad or m]
 
 
 class OtherRobotError(InvalidInputError):
     """Weights of one robot were about to be used for another."""
 
-    def __init__(self, weights: "RobotSignature", robot: "RobotSignature", differences: list[str]) -> None:
-        name = "this one" if weights.name == robot.name else repr(robot.name)
-        super().__init__(
-            f"weights are for robot {weights.name!r}, not {name}: {'; '.join(differences)}; "
-            "choose weights trained for it"
-        )
-        self.weights = weights
-        self.robot = robot
-        self.differences = differences
-
 
 @dataclass(frozen=True)
 class RobotSignature:
-    """A robot as weights remember it. Where a digest is known, names of robots are labels only."""
+    """What weights remember of their robot. Where both digests are known, the robot's name does not count."""
 
     name: str
-    lower: tuple[float, ...]
-    """(n,), by which joints are scaled [rad or m]."""
-    upper: tuple[float, ...]
-    """(n,) [rad or m]."""
-    joints: tuple[str, ...] = ()
-    """(n,) names; empty where an earlier version did not record them."""
-    kinematics: str = ""
-    """`Robot.kinematics_digest`; likewise."""
+    lower: tuple[float, ...]  # (n,) joint limits, by which joints are normalised [rad or m]
+    upper: tuple[float, ...]  # (n,) [rad or m]
+    joints: tuple[str, ...] = ()  # (n,) names; empty where an earlier version did not record them
+    kinematics: str = ""  # Robot.kinematics_digest; likewise
 
     def __post_init__(self) -> None:
-        if (
-            not self.lower
-            or len(self.lower) != len(self.upper)
-            or not all(map(float.__lt__, self.lower, self.upper))
-        ):
+        limits = len(self.lower)
+        if not limits or limits != len(self.upper) or not all(map(float.__lt__, self.lower, self.upper)):
             raise InvalidInputError(f"lower {self.lower} and upper {self.upper} are no joint limits")
-        if self.joints and len(self.joints) != len(self.lower):
-            raise InvalidInputError(f"{len(self.joints)} names of joints, but {len(self.lower)} limits")
+        if self.joints and len(self.joints) != limits:
+            raise InvalidInputError(f"{len(self.joints)} names of joints, but {limits} limits")
 
     def require_same(self, other: "RobotSignature") -> None:
-        """Compare with the robot at hand.
-
-        Raises
-        ------
-        OtherRobotError
-            Naming the differences.
-        """
-        differences = self.differences(other)
+        """Raise OtherRobotError, which names the differences, unless `other` is this robot."""
+        differences = self._differences(other)
         if differences:
-            raise OtherRobotError(self, other, differences)
+            name = "this one" if self.name == other.name else repr(other.name)
+            raise OtherRobotError(
+                f"weights are for robot {self.name!r}, not {name}: {'; '.join(differences)}; "
+                "choose weights trained for it"
+            )
 
-    def differences(self, other: "RobotSignature") -> list[str]:
-        """How `other` differs, in words, nothing when it is this robot."""
+    def _differences(self, other: "RobotSignature") -> list[str]:
         if len(self.lower) != len(other.lower):
             return [f"{len(self.lower)} joints, not {len(other.lower)}"]
         if self.joints and other.joints and self.joints != other.joints:
-            ours, theirs = next(
-                pair for pair in zip(self.joints, other.joints, strict=True) if len(set(pair)) > 1
-            )
+            pairs = zip(self.joints, other.joints, strict=True)
+            ours, theirs = next(pair for pair in pairs if pair[0] != pair[1])
             return [f"joint {ours!r}, not {theirs!r}"]
         limits = [
-            f"{side} limit of joint {joint} {ours:g}, not {theirs:g}"
+            f"{side} limit of joint {joint} {our:g}, not {their:g}"
             for side in ("lower", "upper")
-            for joint, (ours, theirs) in enumerate(
-                zip(getattr(self, side), getattr(other, side), strict=True)
-            )
-            if not abs(ours - theirs) <= LIMIT_TOLERANCE
+            for joint, (our, their) in enumerate(zip(getattr(self, side), getattr(other, side), strict=True))
+            if not abs(our - their) <= LIMIT_TOLERANCE
         ]
         if limits:
             return limits[:2]
@@ -100,38 +91,54 @@ class RobotSignature:
         return [f"joints placed otherwise (kinematics {self.kinematics[:8]}, not {other.kinematics[:8]})"]
 
 
-# Weights on disk: a folder of ``config.json`` and safetensors files, one for each part of a model.
-FORMAT = "cvqmpt-model-1"
-CONFIG_FILE = "config.json"
-TRAINED_FOLDER = "model"
-"""Where in its folder a training leaves its best weights."""
+@dataclass(frozen=True, eq=False)
+class StoredModel:
+    """A trained model as plain data."""
 
-
-@dataclass(frozen=True)
-class Description:
-    """What ``config.json`` says beside its format."""
-
-    architecture: str
-    """Which loader reads the folder."""
-    model: Mapping[str, Any]
-    """Sizes and options, as that architecture's configuration writes them."""
+    architecture: str  # key of CONFIGS
+    config: Any  # of the type that CONFIGS says
     robot: RobotSignature
-    """Whose weights these are."""
-    metadata: Mapping[str, Any]
-    """Anything, as json values."""
-    sha256: Mapping[str, str]
-    """Of each part's file, by part."""
+    parts: Mapping[str, Mapping[str, np.ndarray]]  # arrays by name, by name of the part
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
+
+    def __post_init__(self) -> None:
+        limits, joints = len(self.robot.lower), self.config.joint_dim
+        if limits != joints:
+            raise InvalidInputError(
+                f"robot {self.robot.name!r} has limits of {limits} joints, the model {joints} joints"
+            )
+
+    def require_part(self, part: str) -> None:
+        """Raise InvalidInputError when a part was not trained."""
+        if part not in self.parts:
+            raise InvalidInputError(
+                f"the model has no {part}, only {', '.join(self.parts)}; train stage2 of kind 'published' for one"
+            )
+
+    def array(self, part: str, name: str, *shape: int) -> np.ndarray:
+        """An array of a part, which must have this shape, in float64; InvalidInputError when it does not fit."""
+        self.require_part(part)
+        array = self.parts[part].get(name)
+        if array is None:
+            fault = "is missing"
+        elif array.shape != shape:
+            fault = f"is {array.shape}, expected {shape}"
+        elif array.dtype.kind != "f":
+            fault = f"is {array.dtype}, expected float32"
+        elif not np.isfinite(array).all():
+            fault = "has NaN or infinite values"
+        else:
+            return array.astype(np.float64)
+        raise InvalidInputError(f"{part} does not fit its configuration: {name} {fault}")
+
+    def linear(self, part: str, name: str, inputs: int, outputs: int) -> tuple[np.ndarray, np.ndarray]:
+        """Weight (outputs, inputs) and bias (outputs,) of a linear layer, in float64; errors as of `array`."""
+        weight = self.array(part, f"{name}.weight", outputs, inputs)
+        return weight, self.array(part, f"{name}.bias", outputs)
 
 
-def write_weights(
-    folder: Path,
-    architecture: str,
-    model: Mapping[str, Any],
-    robot: RobotSignature,
-    metadata: Mapping[str, Any],
-    parts: Mapping[str, Mapping[str, np.ndarray]],
-) -> None:
-    """Write a folder, replacing an earlier one at once or not at all; see `Description`.
+def write_model(folder: Path, model: StoredModel) -> None:
+    """Write a folder of weights, replacing an earlier one at once or not at all.
 
     Raises
     ------
@@ -143,14 +150,13 @@ def write_weights(
     try:
         shutil.rmtree(beside, ignore_errors=True)  # of a killed process that had this number
         beside.mkdir(parents=True)
-        hashes = {name: _write_part(beside, name, arrays) for name, arrays in parts.items()}
         description = {
             "format": FORMAT,
-            "architecture": architecture,
-            "model": dict(model),
-            "robot": to_plain(robot),
-            "sha256": hashes,
-            "metadata": dict(metadata),
+            "architecture": model.architecture,
+            "model": to_plain(model.config, complete=True),
+            "robot": to_plain(model.robot),
+            "sha256": {name: _write_part(beside, name, arrays) for name, arrays in model.parts.items()},
+            "metadata": dict(model.metadata),
         }
         write_bytes(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
         _move_into_place(beside, folder)
@@ -187,7 +193,7 @@ def _move_into_place(source: Path, target: Path) -> None:
 
 
 def recover_weights(folder: Path) -> None:
-    """Finish what a killed `write_weights` left beside `folder`; only for who alone writes there."""
+    """Finish what a killed `write_model` left beside `folder`; only for who alone writes there."""
     for aside in folder.parent.glob(f".{folder.name}.previous-*"):
         if folder.exists():
             shutil.rmtree(aside, ignore_errors=True)
@@ -197,12 +203,15 @@ def recover_weights(folder: Path) -> None:
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def checkpoint_folder(folder: Path) -> Path | None:
-    """A folder of weights: this one, or the ``model`` that a training left in it; None when it is neither."""
-    for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):
-        if (candidate / CONFIG_FILE).is_file():
-            return candidate
-    return None
+@dataclass(frozen=True)
+class Description:
+    """What ``config.json`` says beside its format."""
+
+    architecture: str
+    model: Mapping[str, Any]  # sizes and options, as the architecture's configuration writes them
+    robot: RobotSignature
+    metadata: Mapping[str, Any]
+    sha256: Mapping[str, str]  # of each part's file, by name of the part
 
 
 def read_description(
@@ -233,14 +242,28 @@ def read_description(
     )
 
 
-def read_part(folder: Path, description: Description, name: str) -> dict[str, np.ndarray]:
-    """The arrays of a part.
+def read_model(
+    folder: Path, robot: RobotSignature | None = None, architecture: str | None = None
+) -> StoredModel:
+    """Read a folder of weights; `robot` and `architecture` as in `read_description`, and its errors.
 
     Raises
     ------
     InvalidInputError
-        When the part is not listed, or its file is missing or damaged.
+        Also naming the file that is missing or damaged (sha256), or the wrong field of the model's sizes.
     """
+    description = read_description(folder, architecture, robot)
+    of = description.architecture
+    if of not in CONFIGS:
+        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, CONFIGS)
+    config = from_plain(CONFIGS[of], description.model, "model", complete=True)
+    first, *others = PARTS[of]
+    names = [first, *(name for name in others if name in description.sha256)]
+    parts = {name: _read_part(folder, description, name) for name in names}
+    return StoredModel(of, config, description.robot, parts, description.metadata)
+
+
+def _read_part(folder: Path, description: Description, name: str) -> dict[str, np.ndarray]:
     path = Path(folder) / f"{name}.safetensors"
     expected = description.sha256.get(name)
     if expected is None:
@@ -266,127 +289,12 @@ def weights_digest(folder: Path) -> str:
     return digest.hexdigest()
 
 
-# Trained weights as plain arrays, read from a folder without torch: what planning works with.
-VQ_MPT, MPNET = "vq-mpt", "mpnet"
-CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
-"""Sizes and options of each architecture."""
-PARTS = {VQ_MPT: ("dictionary", "sequence_model", "sight"), MPNET: ("mpnet",)}
-"""Files of each architecture; the first is always there, VQ-MPT's second after stage 2 (kind "published" alone), its
-third if it has eyes."""
-
-Arrays = Mapping[str, np.ndarray]
-"""Weights by name."""
-
-
-@dataclass(frozen=True, eq=False)
-class StoredModel:
-    """A trained model, whole, as plain data."""
-
-    architecture: str
-    """Key of `CONFIGS`."""
-    config: Any
-    """Of the type that `CONFIGS` says."""
-    robot: RobotSignature
-    parts: Mapping[str, Arrays]
-    """By their names in `PARTS`."""
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    """Json values: how it was trained."""
-
-    def __post_init__(self) -> None:
-        limits, joints = len(self.robot.lower), self.config.joint_dim
-        if limits != joints:
-            raise InvalidInputError(
-                f"robot {self.robot.name!r} has limits of {limits} joints, the model {joints} joints"
-            )
-
-    def part(self, name: str) -> "Tensors":
-        """The weights of a part, to be handed out.
-
-        Raises
-        ------
-        InvalidInputError
-            When the model has none: a published one was trained for stage 1 alone, or the kind has none.
-        """
-        if name not in self.parts:
-            raise InvalidInputError(
-                f"the model has no {name}, only {', '.join(self.parts)}; train stage2 of kind 'published' for one"
-            )
-        return Tensors(self.parts[name], name)
-
-
-@dataclass(frozen=True, eq=False)
-class Tensors:
-    """Arrays that are handed out by name, each only in the shape that the configuration asks for."""
-
-    arrays: Arrays
-    where: str
-    prefix: str = ""
-    taken: set[str] = field(default_factory=set)
-
-    def under(self, name: str) -> "Tensors":
-        """Those whose names begin so; the rest of the name is asked for."""
-        return replace(self, prefix=f"{self.prefix}{name}.")
-
-    def __call__(self, name: str, *shape: int) -> np.ndarray:
-        """An array of that shape, float64 for folding; raises InvalidInputError when it does not fit."""
-        name = self.prefix + name
-        array = self.arrays.get(name)
-        if array is None:
-            fault = "is missing"
-        elif array.shape != shape:
-            fault = f"is {array.shape}, expected {shape}"
-        elif array.dtype.kind != "f":
-            fault = f"is {array.dtype}, expected float32"
-        elif not np.isfinite(array).all():
-            fault = "has NaN or infinite values"
-        else:
-            self.taken.add(name)
-            return array.astype(np.float64)
-        raise InvalidInputError(f"{self.where} does not fit its configuration: {name} {fault}")
-
-    def require_used(self) -> None:
-        """Raise InvalidInputError when arrays were never asked for."""
-        left = [name for name in self.arrays if name not in self.taken]
-        if left:
-            raise InvalidInputError(f"{self.where} does not fit its configuration: {left[0]} is left over")
-
-
-def read_model(
-    folder: Path, robot: RobotSignature | None = None, architecture: str | None = None
-) -> StoredModel:
-    """Read a folder of weights.
-
-    Parameters
-    ----------
-    folder
-        What `checkpoint.save_checkpoint` wrote.
-    robot
-        The robot at hand; the weights must belong to it. None to skip the comparison.
-    architecture
-        What it must be; None for any.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the file that is missing or damaged (sha256), or the field of ``config.json``.
-    OtherRobotError
-        Naming the differences between the robots.
-    """
-    description = read_description(folder, architecture, robot)
-    of = description.architecture
-    if of not in CONFIGS:
-        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, CONFIGS)
-    config = from_plain(CONFIGS[of], description.model, "model", complete=True)
-    first, *others = PARTS[of]
-    names = [first, *(name for name in others if name in description.sha256)]
-    parts = {name: read_part(folder, description, name) for name in names}
-    return StoredModel(of, config, description.robot, parts, description.metadata)
-
-
-# Where weights are: the one place that finds them by name or folder, for one robot.
-WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
-SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
-"""Names of the weights that come with the package, and their architectures; the first of each is the default."""
+def checkpoint_folder(folder: Path) -> Path | None:
+    """A folder of weights: this one, or the ``model`` that a training left in it; None when it is neither."""
+    for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):
+        if (candidate / CONFIG_FILE).is_file():
+            return candidate
+    return None
 
 
 def resolve_model(
@@ -397,12 +305,9 @@ def resolve_model(
     Parameters
     ----------
     model
-        A name of `SHIPPED`, a folder of weights, or that of a training, whose ``model`` is meant; None for
-        the shipped ones.
-    architecture
-        What it must be; None for any.
-    robot
-        Whom it must belong to; None for any.
+        A name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights.
+    architecture, robot
+        What the weights must be and whom they must belong to; None for any.
 
     Raises
     ------

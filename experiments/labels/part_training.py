@@ -1,13 +1,12 @@
 """Training a model's eyes on a dataset of roadmap labels."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.methods.loaded import EYES
@@ -24,7 +23,7 @@ from cvqmpt_lab.vqmpt.weights import (
     StoredModel,
     read_model,
     resolve_model,
-    write_weights,
+    write_model,
 )
 from experiments.labels.sight_examples import training_examples
 
@@ -94,7 +93,5 @@ def _write(
     request: PartRequest, model: StoredModel, name: str, arrays: dict[str, np.ndarray], counts: dict[str, int]
 ) -> None:
     told = {**model.metadata, name: {**request.metadata, **counts, "seed": request.seed}}
-    plain = to_plain(model.config, complete=True)
-    write_weights(
-        request.out / TRAINED_FOLDER, VQ_MPT, plain, model.robot, told, {**model.parts, name: arrays}
-    )
+    parts = {**model.parts, name: arrays}
+    write_model(request.out / TRAINED_FOLDER, replace(model, parts=parts, metadata=told))

@@ -88,7 +88,7 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
         assert torch.equal(tensor, source[name])
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
-    predictor = Predictor(stored(checkpoint), panda, PredictorSettings(max_length=5))
+    predictor = Predictor(stored(checkpoint), panda, PredictorSettings())
     prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:])
     assert len(prediction.sequences[0].codes) > 0
     again = refused(capsys, "model", *words[1:])

@@ -9,7 +9,7 @@ from small_models import compact_config, random_checkpoint
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import stored
-from cvqmpt_lab.vqmpt.codebook import Codebook, CodeEncoder, ModelConfigurations, dictionary_gaussians
+from cvqmpt_lab.vqmpt.codebook import Codebook, ModelConfigurations, dictionary_gaussians, waypoint_codes
 
 TOLERANCE = 1e-5
 
@@ -23,10 +23,10 @@ def checkpoint(panda):
 def test_the_dictionary(checkpoint, panda):
     model, words = stored(checkpoint), checkpoint.dictionary
     of = ModelConfigurations(model, panda).of(panda.random_configurations(np.random.default_rng(2), 200))
-    codes = CodeEncoder.of(model)(of)
+    codes = waypoint_codes(model, of)
     np.testing.assert_array_equal(codes, words.encode(torch.from_numpy(of[None]))[0])
     assert len(np.unique(codes)) > 3
-    expected, span = words.code_gaussians(), panda.upper - panda.lower
+    expected, span = words.decode(words.quantizer.embedding.weight), panda.upper - panda.lower
     book = Codebook(model, panda)
     for means, covariances in (dictionary_gaussians(model, panda), book.gaussians(book.vectors)):
         np.testing.assert_allclose((means - panda.lower) / span, expected.mean, atol=TOLERANCE)

@@ -46,7 +46,7 @@ def test_farthest_points(points):
 def test_ball_query_keeps_the_first_points_within_the_radius(
     points, max_neighbours, pairs_at_once, monkeypatch
 ):
-    monkeypatch.setattr(point_sampling, "_PAIRS_AT_ONCE", pairs_at_once)
+    monkeypatch.setattr(point_sampling, "PAIRS_AT_ONCE", pairs_at_once)
     centres = points[:, 5:17]
     edges = ball_query(points, centres, 0.4, max_neighbours)
     expected = []
@@ -54,7 +54,7 @@ def test_ball_query_keeps_the_first_points_within_the_radius(
         for m in range(12):
             near = [n for n in range(60) if ((points[b, n] - centres[b, m]) ** 2).sum().sqrt() < 0.4]
             expected += [(60 * b + n, 12 * b + m) for n in near[:max_neighbours]]
-    assert list(zip(edges.point.tolist(), edges.centre.tolist(), strict=True)) == expected
+    assert list(zip(*(part.tolist() for part in edges), strict=True)) == expected
 
 
 def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):

@@ -24,7 +24,7 @@ from cvqmpt_lab.vqmpt.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, GaussianDecoder, Quantized, Quantizer, TrajectoryEncoder
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_samples
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_lengths
 
 SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
 SMALL = ModelConfig(
@@ -221,8 +221,9 @@ def test_dictionary_decodes_what_it_encodes():
     u = torch.rand(2, 6, 7)
     output = dictionary(u)
     assert torch.equal(dictionary.encode(u), output.quantized.codes)
-    torch.testing.assert_close(dictionary.code_gaussians(output.quantized.codes).mean, output.gaussians.mean)
-    assert dictionary.code_gaussians().mean.shape == (12, 7)
+    torch.testing.assert_close(
+        dictionary.decode(dictionary.quantizer.embedding(output.quantized.codes)).mean, output.gaussians.mean
+    )
     z = torch.randn(3, 8, requires_grad=True)
     dictionary.decode(z).covariance.sum().backward()
     assert z.grad.abs().sum() > 0
@@ -262,8 +263,8 @@ def test_prefix_logits_see_only_the_prefix_and_no_order(sequence_model):
 def test_context_tokens_ignore_each_other_and_padding(sequence_model):
     clouds = [torch.rand(20, 3), torch.rand(12, 3)]
     scene = sequence_model.encode_scene(clouds)
-    assert scene.tokens.shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
-    assert scene.visible.sum(1).tolist() == [12, 7]
+    assert scene[0].shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
+    assert scene[1].sum(1).tolist() == [12, 7]
     start, goal = torch.rand(4, 7), torch.rand(4, 7)
     together = sequence_model.encode_context(scene, start, goal)
     for row, cloud in enumerate((clouds[0], clouds[0], clouds[1], clouds[1])):
@@ -276,15 +277,15 @@ def test_context_tokens_ignore_each_other_and_padding(sequence_model):
     assert not torch.allclose(other_goal[:, 1], together[:, 1])
 
 
-@pytest.mark.parametrize("scoring", ["log-probability", "published"])
-def test_beam_search_scores_what_the_model_says(sequence_model, scoring):
+@pytest.mark.parametrize("published", [False, True])
+def test_beam_search_scores_what_the_model_says(sequence_model, published):
     dictionary = Dictionary(SMALL).eval()
     start, goal = torch.rand(2, 7), torch.rand(2, 7)
     with torch.no_grad():
         scene = sequence_model.encode_scene([torch.rand(20, 3)])
         context = sequence_model.encode_context(scene, start, goal)
         decoder = sequence_model.decoder(dictionary, scene, start, goal)
-        found = beam_search(decoder, max_length=9, scoring=scoring)
+        found = beam_search(decoder, max_length=9, published=published)
         for row, sequence in enumerate(found):
             expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
             for i, code in enumerate(path):
@@ -294,14 +295,12 @@ def test_beam_search_scores_what_the_model_says(sequence_model, scoring):
             assert sequence.log_probability == pytest.approx(expected, abs=1e-4)
 
 
-def test_prefix_samples():
-    samples = prefix_samples(torch.tensor([4, 2, 7]), 13)
-    assert samples.lengths.tolist() == [0, 1, 2, 3]
-    assert samples.targets.tolist() == [4, 2, 7, 13]
-    assert samples.codes.tolist() == [[4, 2, 7]] * 4
-    assert [len(prefix_samples(torch.arange(n), 999).targets) for n in (39, 40, 41, 78, 79, 399)] == [
-        40, 40, 40, 40, 40, 40,
-    ]  # fmt: skip
+def test_prefixes_that_are_training_samples():
+    assert prefix_lengths(3).tolist() == [0, 1, 2, 3]
+    assert prefix_lengths(78).tolist() == list(range(40)) and prefix_lengths(79).tolist() == list(
+        range(0, 80, 2)
+    )
+    assert [len(prefix_lengths(n)) for n in (39, 40, 41, 399)] == [40] * 4
 
 
 def test_sequence_loss_is_summed_over_prefixes_per_trajectory():

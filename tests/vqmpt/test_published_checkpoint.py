@@ -17,10 +17,11 @@ ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 
 def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
     imported = import_published(*published(), ROBOT)
-    model, report = imported.checkpoint, imported.report
-    assert [(s.name, s.tensors) for s in report.states] == [(n, len(s)) for n, s in published_states.items()]
-    assert report.ignored == ("epoch", "n_steps", "optimizer")
-    assert (report.dictionary_epoch, report.sequence_epoch) == (7, 7)
+    model = imported.checkpoint
+    assert {name: tensors for name, (tensors, _) in imported.states.items()} == {
+        name: len(state) for name, state in published_states.items()
+    }
+    assert imported.ignored == ("epoch", "n_steps", "optimizer") and imported.epochs == (7, 7)
     for name, tensor in published_states["context_state"].items():
         assert torch.equal(model.sequence_model.context.state_dict()[name], tensor)
     codes = model.dictionary.encode(torch.rand(1, 4, 7))

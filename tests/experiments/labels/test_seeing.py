@@ -1,9 +1,10 @@
 """From labels to eyes that tell free from blocked, on a few scenes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.learned import roadmap_path
 from cvqmpt_lab.methods.method import Weights
@@ -15,7 +16,7 @@ from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.training.shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
-from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_weights
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_model
 from experiments.bench.perception import area, calibration_error
 from experiments.labels.labelled_scenes import unconstrained_space
 from experiments.labels.part_training import PartRequest, train_eyes
@@ -73,10 +74,7 @@ def test_eyes_trained_on_a_few_scenes_know_free_from_blocked_in_another(data, tm
 
 def test_a_model_without_eyes_goes_blindly_or_not_at_all(tmp_path):
     model = load_vq_mpt(panda())
-    parts = {"dictionary": model.parts["dictionary"]}
-    write_weights(
-        tmp_path / "m", VQ_MPT, to_plain(model.config, complete=True), model.robot, model.metadata, parts
-    )
+    write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
     assert roadmap_path()(panda(), Weights("vq_mpt", str(tmp_path / "m"))).observe is None
     assert roadmap_path()(panda(), Weights("vq_mpt")).observe is not None
     with pytest.raises(
