@@ -24,7 +24,6 @@ COMMANDS = {
     "ik": "find configurations for a pose or region, for a problem file",
     "calibrate": "find where a depth camera stands, from the arm that it sees",
     "robot": "show what is understood of a robot's description, or list the arms that have a name",
-    "trust": "put what is promised to the test: repeats, faults, hostile files, edges",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
     "data": "make training paths",
     "train": "train the dictionary, the sequence model or MPNet",
@@ -34,6 +33,9 @@ COMMANDS = {
     "doctor": "tell what is installed here, what is missing and how to get it",
     "completion": "print what makes a shell complete commands, options and names",
 }
+
+REMOVED = {"trust": "make trust, in a checkout"}
+"""What replaces commands of the release before."""
 
 NEED_TORCH = ("train",)
 
@@ -100,6 +102,8 @@ def parser_with(filled: Collection[str]) -> Parser:
 
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
+    if argv and argv[0] in REMOVED:
+        raise InvalidInputError(f"cvqmpt {argv[0]} was removed; {REMOVED[argv[0]]} replaces it")
     asked = next((word for word in argv if word in COMMANDS), None)
     if asked != "train":
         for variable in THREADS:

@@ -1,6 +1,13 @@
-"""What tests of commands share."""
+"""Commands as tests run them: in this process, or as others do, in a process of its own."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 from cli.main import main
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def refused(capsys, *words):
@@ -11,3 +18,30 @@ def refused(capsys, *words):
     assert code == 2 and len(lines) == 1 and captured.out == "", (code, captured)
     assert lines[0].startswith("cvqmpt: ")
     return lines[0]
+
+
+def environment(**changes):
+    """The environment of this process, in which commands import the code that is tested, with changes."""
+    paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    return {**os.environ, "PYTHONPATH": paths, **changes}
+
+
+def start(words, before=None, **changes):
+    """Start `cvqmpt WORDS` in a session of its own; `before` is called in the new process first."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "cli.main", *map(str, words)],
+        env=environment(**changes),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=before,
+    )
+
+
+def run(words, before=None, code=0, **changes):
+    """Run `cvqmpt WORDS` to its end, which must be `code`; returns standard error."""
+    process = start(words, before, **changes)
+    _, err = process.communicate()
+    assert process.returncode == code and "Traceback" not in err, (words, process.returncode, err[-400:])
+    return err

@@ -1,6 +1,7 @@
 """Rows for tests that need no run."""
 
 import json
+from itertools import zip_longest
 
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, write_rows
@@ -40,3 +41,20 @@ def a_results_folder(tmp_path, **times):
     record = {"configuration": {"suite": "place-task"}, "command": ["cvqmpt", "x"], "wall_s": 300.0}
     (folder / PROVENANCE_FILE).write_text(json.dumps(record))
     return tmp_path
+
+
+def untimed(row):
+    """What must be the same when a run is repeated."""
+    return {} if row is None else {k: v for k, v in vars(row).items() if not k.startswith("t_")}
+
+
+def differences(rows, again):
+    """A line for every row that differs, naming the first column in which it does."""
+    found = []
+    for one, two in zip_longest(rows, again):
+        old, new = untimed(one), untimed(two)
+        column = next((name for name in {**old, **new} if old.get(name) != new.get(name)), None)
+        if column is not None:
+            key = (one or two).key
+            found.append(f"{key.problem} {key.planner} seed {key.seed}: {column}")
+    return found

@@ -20,12 +20,13 @@ MARKER = "promise(words, unit, ci, long): trials that a promise of docs/guarante
 
 def pytest_addoption(parser):
     parser.addoption("--long", action="store_true", help="every case and trial, for hours; a few otherwise")
+    parser.addoption("--trials", type=int, metavar="N", help="so many trials of each promise")
     parser.addoption("--record", type=Path, metavar="F.md", help="write the figures into this page")
 
 
 def pytest_configure(config):
     config.addinivalue_line("markers", MARKER)
-    for name, examples in EXAMPLES.items():
+    for name, examples in {**EXAMPLES, "part": config.getoption("--trials") or 1}.items():
         settings.register_profile(
             name,
             max_examples=examples,
@@ -40,7 +41,7 @@ def pytest_configure(config):
 
 
 def form_of(config):
-    return "long" if config.getoption("--long") else "ci"
+    return "part" if config.getoption("--trials") else "long" if config.getoption("--long") else "ci"
 
 
 def pytest_collection_modifyitems(config, items):
@@ -58,7 +59,7 @@ def pytest_collection_modifyitems(config, items):
 def figure_of(item):
     marker, form = item.get_closest_marker("promise"), form_of(item.config)
     words, unit = marker.args
-    tried = marker.kwargs.get(form, EXAMPLES[form])
+    tried = item.config.getoption("--trials") or marker.kwargs.get(form, EXAMPLES.get(form))
     return item.path.stem.removeprefix("test_"), words, tried, unit
 
 

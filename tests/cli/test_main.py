@@ -38,6 +38,7 @@ HEAVY = ("numba", "scipy", "pinocchio", "coal", "ompl", "rerun", "matplotlib", "
         ("problems list nope", "'nope'", "place-task-with-can"),
         ("problems export place-task", "--out", "DIR"),
         ("table /nope", "/nope", "not a directory"),
+        ("trust files --long", "trust", "make trust"),
         ("bench nope", "'nope'", "kernels"),
         ("check-tables --expected /nope", "/nope", "check-tables --update"),
     ],

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from process_memory import in_use
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
@@ -27,7 +28,6 @@ from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from experiments.rows import path_hash
-from experiments.trust.memory import in_use
 
 LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
 OURS = ("birrt", "guided-birrt")

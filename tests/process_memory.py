@@ -1,11 +1,11 @@
-"""What a process holds, as the system and its allocator count it."""
+"""Memory that a process holds, as the system and the allocator of the C library count it."""
 
 import ctypes
 import gc
 import resource
 from pathlib import Path
 
-_FIELDS = (
+FIELDS = (
     "arena",
     "ordblks",
     "smblks",
@@ -19,21 +19,21 @@ _FIELDS = (
 )
 
 
-class _Mallinfo(ctypes.Structure):
+class Mallinfo(ctypes.Structure):
     """What `mallinfo2` of the GNU C library returns."""
 
-    _fields_ = [(name, ctypes.c_size_t) for name in _FIELDS]
+    _fields_ = [(name, ctypes.c_size_t) for name in FIELDS]
 
 
-def resident() -> int:
+def resident():
     """Bytes of memory that the process holds."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
-def in_use() -> int:
+def in_use():
     """Bytes that C and C++ code has asked for and not given back, after Python's collector ran: to the byte."""
     gc.collect()
     library = ctypes.CDLL(None)
-    library.mallinfo2.restype = _Mallinfo
+    library.mallinfo2.restype = Mallinfo
     info = library.mallinfo2()
     return int(info.uordblks + info.hblkhd)
