@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Pair, compare and tell."""
+    """Pair runs, compare them and print what changed."""
     found = compared(directory_rows(args.before), directory_rows(args.after))
     print(f"from A, {args.before}, to B, {args.after}; changes over runs that both solved, 95 % intervals")
     print("\n".join("  ".join(line).rstrip() for line in padded(comparison_lines(found))))

@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sorted_rows
-from cvqmpt_lab.results.store import PARTIAL_FILE, KeptPaths
+from cvqmpt_lab.results.store import PARTIAL_FILE, StoredPaths
 from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.sensor_task import SensedProblem
@@ -43,7 +43,7 @@ def recertify(directory: Path) -> Iterator[Verdict]:
     """
     if (directory / PARTIAL_FILE).is_file():
         raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")
-    rows, paths = sorted_rows(read_rows(directory / RUNS_FILE)), KeptPaths(directory)
+    rows, paths = sorted_rows(read_rows(directory / RUNS_FILE)), StoredPaths(directory)
     if not paths and any(row.path_sha256 for row in rows):
         raise RunStoreError(
             f"{directory} keeps no paths.npz: it was made by an earlier version; run it again"
@@ -59,7 +59,7 @@ def _run(row: ResultRow) -> RunKey:
     return row.key._replace(problem=row.item)
 
 
-def _verdicts(item: object, rows: list[ResultRow], paths: KeptPaths) -> Iterator[Verdict]:
+def _verdicts(item: object, rows: list[ResultRow], paths: StoredPaths) -> Iterator[Verdict]:
     """Verdicts on the rows of one run, of a problem or of the phases of a task."""
     rows = [row for row in rows if row.path_sha256]
     item = item.problem if isinstance(item, SensedProblem) else item

@@ -65,8 +65,8 @@ CLAIMS = (
         {"place-task": statements.FASTER},
         (("time", OMPL), ("time", REFERENCE), ("paper_cost", OMPL)),
         "A state check costs a microsecond here and milliseconds in the paper's simulator, so that networks, which "
-        "cost milliseconds in both, weigh more here. The paper's cost of work prices every projection and state check "
-        "as there.",
+        "cost milliseconds in both, weigh more here. The paper's cost of work charges every projection and state check "
+        "what it cost there.",
     ),
     Claim(
         "plans paths 35 to 40 % shorter",

@@ -31,7 +31,7 @@ WORDS = {
     "accuracy": "solved",
     "true_free": "free in truth",
 }
-YARDSTICKS = (
+COMPARED = (
     ("time", "ompl-projected", "time"),
     ("time at the paper's cost", "ompl-projected", "paper_cost"),
     ("path length", "ompl-projected", "path_length"),
@@ -64,7 +64,7 @@ def shown(judged: JudgedClaim) -> list[Verdict]:
     ]
 
 
-def _told(verdict: Verdict) -> str:
+def _in_words(verdict: Verdict) -> str:
     word = WORDS.get(verdict.statement.metric, verdict.statement.metric)
     if verdict.baseline == NOTHING:
         return f"{estimate(verdict.ours.scaled(100.0))} % {word}"
@@ -72,13 +72,13 @@ def _told(verdict: Verdict) -> str:
     return f"{word} {change(verdict.ours)} % against {against}"
 
 
-def box_lines(claims: Iterable[JudgedClaim]) -> Lines:
+def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     """A line a claim."""
     lines = [["CVQ-MPT …", "paper", "here, Opt-CVQ-MPT [95 % interval]", "n", "verdict"]]
     for item in claims:
-        told = shown(item)
-        sizes = "; ".join(dict.fromkeys(str(verdict.ours.n) for verdict in told)) or NOTHING
-        here = "; ".join(map(_told, told)) or NOTHING
+        verdicts = shown(item)
+        sizes = "; ".join(dict.fromkeys(str(verdict.ours.n) for verdict in verdicts)) or NOTHING
+        here = "; ".join(map(_in_words, verdicts)) or NOTHING
         lines.append([item.claim.title, item.claim.paper, here, sizes, f"**{item.verdict}**"])
     return lines
 
@@ -91,14 +91,14 @@ def page_text(results: Path, root: Path) -> str:
         "# Does the paper hold?\n",
         "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained Motion Planning "
         "Transformers Using Learned Sampling Dictionaries* (Johnson, Qureshi, Yip) says that CVQ-MPT …\n",
-        markdown_table(box_lines(claims)),
+        markdown_table(summary_lines(claims)),
         "## How to read it\n",
         "".join(f"- {line}\n" for line in TERMS),
         *(section(item, root) for item in claims),
     ]
     if "place-task" in found:
-        lines = yardsticks(found["place-task"])
-        parts += ["## Every planner by the same yardsticks, place task\n", markdown_table(lines)]
+        lines = comparison_lines(found["place-task"])
+        parts += ["## Every planner by the same measures, place task\n", markdown_table(lines)]
     return "\n".join(parts)
 
 
@@ -113,9 +113,9 @@ def section(item: JudgedClaim, root: Path) -> str:
 
 def made_by(evidence: Evidence, root: Path) -> str:
     """The command of a results directory, its wall-clock, and where its rows are."""
-    told = sessions(evidence.record)
-    commands = dict.fromkeys(shlex.join(session.get("command") or ["?"]) for session in told)
-    commit = ", ".join(dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in told))
+    made = sessions(evidence.record)
+    commands = dict.fromkeys(shlex.join(session.get("command") or ["?"]) for session in made)
+    commit = ", ".join(dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made))
     folder = evidence.folder.relative_to(root).as_posix()
     where = (
         f"[table]({folder}/table.md), [rows]({folder}/runs.csv)"
@@ -139,37 +139,35 @@ def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
-def yardsticks(evidence: Evidence) -> Lines:
+def comparison_lines(evidence: Evidence) -> Lines:
     """Every planner that was run, as changes against the paper's baseline and the same search."""
     groups = by_planner(evidence.rows, read_published("place_task.csv", "Place Task"))
-    lines = [
-        ["planner", "runs", "solved [%]", *(f"{what} [%] against {whom}" for what, whom, _ in YARDSTICKS)]
-    ]
+    lines = [["planner", "runs", "solved [%]", *(f"{what} [%] against {whom}" for what, whom, _ in COMPARED)]]
     for name, rows in groups.items():
         line = [name, str(len(rows)), estimate(fraction(rows, solved).scaled(100))]
-        for _, whom, value in YARDSTICKS:
+        for _, whom, value in COMPARED:
             ratio = paired_ratio(rows, groups.get(whom, ()), VALUES[value])
             line.append(NOTHING if whom == name else change(less(ratio)))
         lines.append(line)
     return lines
 
 
-def with_box(text: str, box: str) -> str:
+def with_summary(text: str, summary: str) -> str:
     """A README with its short table replaced; InvalidInputError where it has none."""
     found = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
     if not found.search(text):
         raise InvalidInputError(
             f"the README has no lines {BEGIN!r} and {END!r}; put them where the verdicts go"
         )
-    return found.sub(lambda _: box, text)
+    return found.sub(lambda _: summary, text)
 
 
 def committed_pages() -> dict[Path, str]:
     """The committed page and, in a checkout, the README, as their rows say that they should be."""
     pages = {PAGE: page_text(RESULTS, PAGE.parent)}
     if README.is_file():
-        box = markdown_table(box_lines(judged_claims(evidence_below(RESULTS))))
-        pages[README] = with_box(read_text(README), f"{BEGIN}\n{box}{END}")
+        summary = markdown_table(summary_lines(judged_claims(evidence_below(RESULTS))))
+        pages[README] = with_summary(read_text(README), f"{BEGIN}\n{summary}{END}")
     return pages
 
 

@@ -66,7 +66,7 @@ def differing_cells(directory: Path) -> list[str]:
                 found.append(f"{committed}: missing; render it with: cvqmpt table {directory}")
             elif committed.read_bytes() != path.read_bytes():
                 where = _first_difference(committed.read_bytes(), path.read_bytes(), path.suffix)
-                found.append(f"{committed}, {where}; render it anew with: cvqmpt table {directory}")
+                found.append(f"{committed}, {where}; render it again with: cvqmpt table {directory}")
         return found
 
 

@@ -71,8 +71,8 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
 
 def named(pairs: Collection[Pair]) -> str:
     """The first of some runs by problem and seed."""
-    told = [f"problem {problem} seed {seed}" for problem, seed in list(pairs)[:MOST_NAMES]]
-    return ", ".join([*told, "…"] if len(pairs) > MOST_NAMES else told)
+    names = [f"problem {problem} seed {seed}" for problem, seed in list(pairs)[:MOST_NAMES]]
+    return ", ".join([*names, "…"] if len(pairs) > MOST_NAMES else names)
 
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:

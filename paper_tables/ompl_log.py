@@ -27,8 +27,7 @@ STATUS_OF: Mapping[FailReason | None, str] = {
     FailReason.WORKER_DIED: "Crash",
     FailReason.WORKER_HUNG: "Crash",
     FailReason.OUT_OF_MEMORY: "Crash",
-}
-"""Other reasons are unknown to OMPL; the property "fail reason" has them all."""
+}  # other reasons are unknown to OMPL; the property "fail reason" has them all
 
 
 def _search_seconds(row: ResultRow) -> float | None:
@@ -50,17 +49,13 @@ PROPERTIES: Mapping[str, Callable[[ResultRow], Any]] = {
     "projections INTEGER": attrgetter("n_projections"),
     "state checks INTEGER": attrgetter("n_state_checks"),
     "clearance REAL": attrgetter("min_clearance_m"),
-}
-"""Name and SQL type of each property of a run, in OMPL's words where it has any."""
+}  # name and SQL type of each property of a run, in OMPL's words where it has any
 
 
 def write_ompl_log(directory: Path, path: Path) -> None:
     """Write the rows of a results directory as one experiment, named after its suite.
 
-    Raises
-    ------
-    InvalidInputError
-        When the directory holds no readable runs with provenance, or `path` cannot be written.
+    InvalidInputError when the directory holds no readable runs with provenance, or `path` cannot be written.
     """
     write_text(path, ompl_log(directory_rows(directory), ProvenanceFile(directory).read()))
 
@@ -68,7 +63,8 @@ def write_ompl_log(directory: Path, path: Path) -> None:
 def ompl_log(rows: Sequence[ResultRow], record: Mapping[str, Any]) -> str:
     """Rows of one suite in the grammar of OMPL's log; record: their provenance."""
     settings = record["configuration"]
-    runs = {name: list(group) for name, group in groupby(sorted(rows, key=_order), attrgetter("planner"))}
+    ordered = sorted(rows, key=attrgetter("planner", "problem"))
+    runs = {name: list(group) for name, group in groupby(ordered, attrgetter("planner"))}
     lines = [
         f"cvqmpt_lab version {record.get('versions', {}).get('cvqmpt-lab') or '0'}",
         f"Experiment {rows[0].suite}",
@@ -90,10 +86,6 @@ def ompl_log(rows: Sequence[ResultRow], record: Mapping[str, Any]) -> str:
         lines += [planner, "0 common properties", f"{len(PROPERTIES)} properties for each run", *PROPERTIES]
         lines += [f"{len(own)} runs", *map(_run_line, own), "."]
     return "\n".join(lines) + "\n"
-
-
-def _order(row: ResultRow) -> tuple[str, str]:
-    return row.planner, row.problem
 
 
 def _run_line(row: ResultRow) -> str:

@@ -1,10 +1,9 @@
 """Render the runs of a results directory in the paper's layout: markdown, LaTeX and csv. Plans nothing."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import write_text
@@ -19,14 +18,12 @@ from paper_tables.robustness_table import robustness_table
 from paper_tables.table import Rendered, rows_of_one_suite
 
 
-@dataclass(frozen=True)
-class SuiteTable:
+class SuiteTable(NamedTuple):
     """How the rows of a suite are rendered."""
 
     title: str
     render: Callable[..., Rendered] = place_task_table
-    paper: tuple[str, str] | None = None
-    """File in ``published`` and environment there of the numbers that stand beside ours."""
+    paper: tuple[str, str] | None = None  # file in ``published`` and environment there of its numbers
 
 
 PLACE = ("place_task.csv", "Place Task")
@@ -66,23 +63,18 @@ def table_of(suite: str) -> SuiteTable:
     return TABLES.get(suite, SuiteTable(f"Suite {suite}"))
 
 
-@dataclass(frozen=True)
-class RenderedFiles:
+class RenderedFiles(NamedTuple):
     """What was written beside the rows, and the lines that a terminal shows."""
 
-    paths: tuple[Path, ...]
-    brief: tuple[str, ...]
+    paths: list[Path]
+    brief: list[str]
 
 
 def render_directory(directory: Path) -> RenderedFiles:
     """Write ``table.md``, ``.tex`` and ``.csv`` beside ``runs.csv``, whose rows are of one suite.
 
-    Raises
-    ------
-    InvalidInputError
-        When the directory holds no readable runs with provenance, or cannot be written.
+    InvalidInputError when the directory holds no readable runs with provenance, or cannot be written.
     """
-    directory = Path(directory)
     rows = rows_of_one_suite(directory_rows(directory))
     record = ProvenanceFile(directory).read()
     table = table_of(rows[0].suite)
@@ -96,36 +88,36 @@ def render_directory(directory: Path) -> RenderedFiles:
     for name, text in texts.items():
         write_text(directory / name, text)
     title = f"{table.title}: {made.size}, {_cutoffs(record)}"
-    return RenderedFiles(tuple(directory / name for name in texts), (title, *made.brief))
+    return RenderedFiles([directory / name for name in texts], [title, *made.brief])
 
 
 def directory_rows(directory: Path) -> list[ResultRow]:
-    """Rows of a results directory; RunStoreError, which tells the cure, when it has none."""
-    cure = f"run an experiment with --out {directory} first"
+    """Rows of a results directory; RunStoreError says what to do when it has none."""
+    advice = f"run an experiment with --out {directory} first"
     if not directory.is_dir():
-        raise RunStoreError(f"{directory} is not a directory; {cure}")
+        raise RunStoreError(f"{directory} is not a directory; {advice}")
     if not (directory / RUNS_FILE).is_file():
         if (directory / PARTIAL_FILE).is_file():
             raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")
-        raise RunStoreError(f"{directory} has no {RUNS_FILE}; {cure}")
+        raise RunStoreError(f"{directory} has no {RUNS_FILE}; {advice}")
     rows = read_rows(directory / RUNS_FILE)
     if not rows:
-        raise RunStoreError(f"{directory / RUNS_FILE} has no rows; {cure}")
+        raise RunStoreError(f"{directory / RUNS_FILE} has no rows; {advice}")
     return rows
 
 
 def _head(record: Mapping[str, Any], n_runs: int) -> str:
     """One line: cut-off, commits, models, machines, dates and the number of rows."""
-    told = sessions(record)
+    made = sessions(record)
     models = [f"{name} {digest[:12]}" for name, digest in sorted(weights_in(record).items())]
-    machines = [f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in told]
+    machines = [f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made]
     return " · ".join(
         [
             _cutoffs(record),
-            f"commit {_distinct(map(_commit, told))}",
+            f"commit {_distinct(map(_commit, made))}",
             *([f"weights {_distinct(models)}"] if models else []),
             f"machine {_distinct(machines)}",
-            f"date {_distinct(str(session.get('date_utc') or 'unknown') for session in told)}",
+            f"date {_distinct(str(session.get('date_utc') or 'unknown') for session in made)}",
             f"{n_runs} rows",
         ]
     )
@@ -135,8 +127,8 @@ def _cutoffs(record: Mapping[str, Any]) -> str:
     """The budget of a run."""
     configuration = record["configuration"]
     seconds, iterations = configuration.get("cutoff_s"), configuration.get("iterations")
-    told = [f"cutoff {seconds:g} s"] if seconds else []
-    return ", ".join([*told, f"{iterations} iterations"] if iterations else told) or "cutoff not recorded"
+    limits = [f"cutoff {seconds:g} s"] if seconds else []
+    return ", ".join([*limits, f"{iterations} iterations"] if iterations else limits) or "cutoff not recorded"
 
 
 def _commit(session: Mapping[str, Any]) -> str:

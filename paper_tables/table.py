@@ -167,11 +167,11 @@ def _at(row: ResultRow, what: str) -> str:
 
 def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
     """Counts of equal texts, the most frequent first, each with the first example."""
-    examples: dict[str, list[str]] = {}
-    for what, example in found:
-        examples.setdefault(what, []).append(example)
-    counts = [Count(what, texts[0], len(texts)) for what, texts in examples.items()]
-    return tuple(sorted(counts, key=lambda count: (-count.runs, count.what)))
+    by_what = [
+        (what, list(pairs)) for what, pairs in groupby(sorted(found, key=itemgetter(0)), itemgetter(0))
+    ]
+    counts = [Count(what, pairs[0][1], len(pairs)) for what, pairs in by_what]
+    return tuple(sorted(counts, key=lambda count: -count.runs))
 
 
 def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> list[str]:
@@ -248,8 +248,8 @@ def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[
             interval = item.measured[column.ours]
             ours = estimate(interval) if column.interval else number(interval.estimate)
             lines[-1] += [item.paper_cell(column.published), ours][-shown:]
-    told = ", ".join(f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back)
-    return text_lines(lines) + ([f"by fallback: {told}"] if told else [])
+    fallen_back = ", ".join(f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back)
+    return text_lines(lines) + ([f"by fallback: {fallen_back}"] if fallen_back else [])
 
 
 def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:

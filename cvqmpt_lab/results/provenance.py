@@ -105,7 +105,7 @@ def _check(record: Mapping[str, Any], forms: Mapping[str, Any]) -> None:
 
 
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """All sessions that a record tells of, the first one first."""
+    """All sessions in a record, the first one first."""
     return [record, *record.get("continued", [])]
 
 
@@ -174,8 +174,8 @@ class ProvenanceFile:
         """Say how long the last session took [s]."""
         record = self.read()
         *earlier, last = sessions(record)
-        told = {**last, "wall_s": round(seconds, 1)}
-        self._write({**record, "continued": [*earlier[1:], told]} if earlier else told)
+        timed = {**last, "wall_s": round(seconds, 1)}
+        self._write({**record, "continued": [*earlier[1:], timed]} if earlier else timed)
 
     def _write(self, record: Mapping[str, object]) -> None:
         write_text(self.path, _json_text(record) + "\n")

@@ -1,6 +1,6 @@
 """A directory of runs that survives interruption and can be continued.
 
-The paths of its rows are kept beside them: ``paths.npz``, arrays of states by the hash that stands in the row. Read one
+The paths of its rows lie beside them: ``paths.npz``, arrays of states by the hash that stands in the row. Read one
 with ``numpy.load("paths.npz")[row.path_sha256]``.
 """
 
@@ -89,7 +89,7 @@ class RunStore:
     def _recover(self) -> None:
         """Load the merged rows and what an interrupted session left behind, and merge the latter."""
         merged, partial = self.directory / RUNS_FILE, self.directory / PARTIAL_FILE
-        KeptPaths(self.directory)  # refused before hours of work, not after
+        StoredPaths(self.directory)  # refused before hours of work, not after
         if merged.is_file():
             self._rows = {row.key: row for row in rows_csv.read_rows(merged)}
         if partial.is_file():
@@ -164,7 +164,6 @@ class RunStore:
         self.finish()
 
 
-# The paths of a run's rows, kept beside them: ``paths.npz``, arrays of states by the hash that stands in the row.
 def states_hash(states: np.ndarray) -> str:
     """sha256 of the bytes of states (m, n): equal for bit-for-bit equal paths."""
     return hashlib.sha256(np.ascontiguousarray(states, dtype=np.float64).tobytes()).hexdigest()
@@ -177,7 +176,7 @@ def array_bytes(states: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-class KeptPaths(Mapping[str, np.ndarray]):
+class StoredPaths(Mapping[str, np.ndarray]):
     """Read-only view of a folder's ``paths.npz``; a path is read, and compared with its hash, when it is asked for."""
 
     def __init__(self, directory: Path) -> None:
@@ -190,7 +189,7 @@ class KeptPaths(Mapping[str, np.ndarray]):
             raise RunStoreError(f"{self._path} is damaged: {error}; run again into another folder") from error
 
     def __getitem__(self, sha256: str) -> np.ndarray:
-        """States (m, n) [rad or m]; RunStoreError when they are not those that were kept."""
+        """States (m, n) [rad or m]; RunStoreError when they are not those that were stored."""
         if sha256 not in self._names:
             raise KeyError(sha256)
         try:
@@ -217,7 +216,7 @@ def merge_paths(directory: Path, wanted: Collection[str]) -> None:
     if not partial.is_file():
         return
     kept = {states_hash(states): states for states in _whole_arrays(read_bytes(partial))}
-    arrays: dict[str, Any] = {**KeptPaths(directory), **kept}
+    arrays: dict[str, Any] = {**StoredPaths(directory), **kept}
     with replacing(Path(directory) / PATHS_FILE) as temporary, temporary.open("wb") as handle:
         np.savez_compressed(handle, **{name: arrays[name] for name in sorted(arrays.keys() & set(wanted))})
         handle.flush()

@@ -1,1 +1,1 @@
-"""One html file that tells everything about results: verdicts, tables, plots, rows and where they come from."""
+"""One html file about results: verdicts, tables, plots, rows and where they come from."""

@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import sessions
 from cvqmpt_lab.results.row import ResultRow
 from paper_tables.claims import Evidence, evidence_below, judged_claims, read_evidence
-from paper_tables.claims_page import TERMS, box_lines, wall_clock
+from paper_tables.claims_page import TERMS, summary_lines, wall_clock
 from paper_tables.measures import REFERENCE, VALUES, Rows, work
 from paper_tables.paper_numbers import read_published
 from paper_tables.render import SuiteTable, table_of
@@ -35,7 +35,7 @@ MOST_BYTES = 2_000_000  # of a picture that is taken into the page
 def report_html(directory: Path, report: Callable[[int, int], None] = lambda done, total: None) -> str:
     """One self-contained file about a results directory, or all that are below a folder.
 
-    report: is told how many of them are done. InvalidInputError when there are none, or they cannot be read.
+    report: is called with how many of them are done. InvalidInputError when there are none, or they cannot be read.
     """
     found = evidence_of(Path(directory))
     claims = [item for item in judged_claims(found) if item.verdicts or not item.claim.statements]
@@ -50,7 +50,7 @@ def report_html(directory: Path, report: Callable[[int, int], None] = lambda don
     data = [{key: section[key] for key in ("name", "rows", "again", "slider")} for section in sections]
     return environment.get_template(TEMPLATE).render(
         title="CVQ-MPT, reproduced",
-        claims=box_lines(claims) if any(item.verdicts for item in claims) else [],
+        claims=summary_lines(claims) if any(item.verdicts for item in claims) else [],
         styles=STYLES,
         terms=TERMS,
         sections=sections,
@@ -114,7 +114,7 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
         "Solved against time": plots.solved_curve(groups),
         "Path length, solved runs": plots.distribution(groups, length, "length [rad]", log=False),
         "Work, solved runs": plots.distribution(groups, work, "projections and state checks"),
-        "Where time goes": plots.ledger(groups),
+        "Where time goes": plots.stage_times(groups),
     }
     if REFERENCE in groups and len(groups) > 1:
         for name, value, label in (("Work", work, "work"), ("Length", length, "length [rad]")):
@@ -156,12 +156,12 @@ def _row(row: ResultRow) -> list[object]:
 
 def _provenance(evidence: Evidence) -> dict[str, str]:
     """Every fact of every session."""
-    told: dict[str, list[str]] = {}
+    facts: dict[str, list[str]] = {}
     for session in sessions(evidence.record):
         for name, fact in session.items():
             if name in SHOWN_FACTS and fact:
-                told.setdefault(name.replace("_", " "), []).append(_fact(fact))
-    joined = {name: " and ".join(dict.fromkeys(facts)) for name, facts in told.items()}
+                facts.setdefault(name.replace("_", " "), []).append(_fact(fact))
+    joined = {name: " and ".join(dict.fromkeys(found)) for name, found in facts.items()}
     return {**joined, "time": wall_clock(evidence)}
 
 

@@ -80,7 +80,7 @@ def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> 
         for name, rows in groups.items()
         if (found := [float(x) for row in rows if row.solved and (x := value(row))])
     }
-    figure, axes = _axes(0.7 + LINE * max(len(known), 1), legend=False)
+    figure, axes = _axes(0.7 + LINE * max(len(known), 1))
     boxes = axes.boxplot(
         list(known.values())[::-1],
         orientation="horizontal",
@@ -99,7 +99,7 @@ def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> 
 
 
 @matplotlib.rc_context(STYLE)
-def ledger(groups: Groups) -> str:
+def stage_times(groups: Groups) -> str:
     """Mean time of every stage, stacked."""
     figure, axes = _axes(0.9 + LINE * len(groups))
     names, left = list(groups)[::-1], np.zeros(len(groups))
@@ -112,13 +112,8 @@ def ledger(groups: Groups) -> str:
     axes.set_xlim(0.0, 1.1 * (longest if longest < 8.0 * middle else middle) or 1.0)
     for k, total in enumerate(left):
         if total > axes.get_xlim()[1]:
-            axes.annotate(
-                f"{total:.0f} ms →",
-                (0.99, k),
-                xycoords=("axes fraction", "data"),
-                ha="right",
-                va="center",
-            )
+            beside = axes.get_yaxis_transform()
+            axes.text(0.99, k, f"{total:.0f} ms →", transform=beside, ha="right", va="center")
     return svg(figure)
 
 
@@ -183,7 +178,7 @@ def _plain(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _axes(height: float, legend: bool = True) -> tuple[Figure, Axes]:
+def _axes(height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     return figure, figure.subplots()
 

@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from cvqmpt_lab.results.store import PATHS_FILE, KeptPaths, states_hash
+from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder
 from cvqmpt_lab.tasks.phase_goals import phase_problems
@@ -289,7 +289,7 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):
     assert capsys.readouterr().out == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
 
     rows = read_rows(tmp_path / RUNS_FILE)
-    kept = dict(KeptPaths(tmp_path))
+    kept = dict(StoredPaths(tmp_path))
     bent = kept[rows[0].path_sha256].copy()
     bent[10] += 0.05
     forged = replace(rows[0], path_sha256=states_hash(bent), path_length_rad=JointPath(bent).length)

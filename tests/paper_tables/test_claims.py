@@ -7,7 +7,15 @@ from made_rows import a_results_folder
 
 from cvqmpt_lab.errors import InvalidInputError
 from paper_tables.claims import evidence_below, judged_claims
-from paper_tables.claims_page import BEGIN, END, box_lines, committed_pages, page_text, stale_pages, with_box
+from paper_tables.claims_page import (
+    BEGIN,
+    END,
+    committed_pages,
+    page_text,
+    stale_pages,
+    summary_lines,
+    with_summary,
+)
 
 FASTER, SHORTER, SOLVES, PLANNING, *_, COMPLETE = range(9)
 
@@ -51,11 +59,11 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     )
     assert "`cvqmpt x`: wall-clock 5 min" in page and "(place-task/runs.csv)" in page
     assert "| new-one " in page, "a planner that nobody has listed stands among the others"
-    assert len(box_lines(judged_claims(evidence_below(results)))) == 1 + 9
+    assert len(summary_lines(judged_claims(evidence_below(results)))) == 1 + 9
 
 
 def test_the_box_replaces_what_stands_between_its_marks_alone():
     box = f"{BEGIN}\nnew\n{END}"
-    assert with_box(f"before\n{BEGIN}\nold\n{END}\nafter", box) == f"before\n{box}\nafter"
+    assert with_summary(f"before\n{BEGIN}\nold\n{END}\nafter", box) == f"before\n{box}\nafter"
     with pytest.raises(InvalidInputError, match="put them where"):
-        with_box("no marks", box)
+        with_summary("no marks", box)

@@ -47,20 +47,6 @@ def test_committed_tables_are_well_formed(path):
     assert_well_formed(path.read_text(encoding="utf-8"))
 
 
-def test_malformed_tables_are_found():
-    good = latex_table("caption", "label", [[["", "", "a", "b"]], [["time", "ours", "1_0", "2 %"]]])
-    assert_well_formed(good)
-    for right, wrong in (
-        (r"1\_0", "1_0"),
-        (r"2 \%", "2 %"),
-        ("& a", "a"),
-        (r"\end{tabular}", ""),
-        ("1", "∞"),
-    ):
-        with pytest.raises(AssertionError):
-            assert_well_formed(good.replace(right, wrong))
-
-
 def test_planners_that_do_not_fit_side_by_side_make_tables_of_their_own():
     names = [f"p{k}" for k in range(MOST_COLUMNS + 2)]
     text = latex_table("", "x", [[["", "", *names]], [["time", "ours", *names]]])

@@ -6,7 +6,7 @@ from made_rows import CONFIGURATION, a_row, names
 
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
-from cvqmpt_lab.results.store import PARTIAL_PATHS, PATHS_FILE, KeptPaths, RunStore, states_hash
+from cvqmpt_lab.results.store import PARTIAL_PATHS, PATHS_FILE, RunStore, StoredPaths, states_hash
 
 
 def path(seed):
@@ -27,7 +27,7 @@ def store(tmp_path):
 
 def test_what_was_hashed_comes_back_bit_for_bit(store):
     assert names(store) == [PATHS_FILE, "provenance.json", RUNS_FILE]
-    kept = KeptPaths(store)
+    kept = StoredPaths(store)
     assert set(kept) == {row.path_sha256 for row in read_rows(store / RUNS_FILE)} and len(kept) == 3
     for seed in (1, 2, 3):
         assert kept[states_hash(path(seed))].tobytes() == path(seed).tobytes()
@@ -37,7 +37,7 @@ def test_what_was_hashed_comes_back_bit_for_bit(store):
 def test_a_continued_run_adds_paths_and_drops_those_of_rows_it_replaced(store):
     with RunStore.open(store, CONFIGURATION) as again:
         again.append([a_row("p1", path_sha256=states_hash(path(9)))], [path(9)])
-    assert set(KeptPaths(store)) == {states_hash(path(seed)) for seed in (2, 3, 9)}
+    assert set(StoredPaths(store)) == {states_hash(path(seed)) for seed in (2, 3, 9)}
 
 
 @pytest.mark.parametrize("cut", [1, 8, 60, 130, 1000])
@@ -54,7 +54,7 @@ def test_a_path_cut_short_by_a_kill_is_left_out_and_the_others_stay(tmp_path, cu
     (tmp_path / "runs.partial.csv").write_bytes(rows[: rows.index(b"\n\n") + 2])
     with RunStore.open(tmp_path, CONFIGURATION) as again:
         again.append([row(2)], [path(2)])
-    assert set(KeptPaths(tmp_path)) == {states_hash(path(1)), states_hash(path(2))}
+    assert set(StoredPaths(tmp_path)) == {states_hash(path(1)), states_hash(path(2))}
 
 
 @pytest.mark.parametrize("where", [0.2, 0.5, 0.999])
@@ -63,7 +63,7 @@ def test_a_damaged_store_is_refused_by_name(store, where):
     data[int(where * len(data))] ^= 0xFF
     (store / PATHS_FILE).write_bytes(bytes(data))
     with pytest.raises(RunStoreError, match=r"paths\.npz is damaged"):
-        dict(KeptPaths(store))
+        dict(StoredPaths(store))
 
 
 def test_a_store_that_is_no_store_stops_a_run_before_it_begins(store):
@@ -77,4 +77,4 @@ def test_another_path_under_a_row_s_hash_is_refused(store):
     forged[states_hash(path(1))][0, 0] += 1e-15
     np.savez_compressed(store / PATHS_FILE, **forged)
     with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another hash"):
-        KeptPaths(store)[states_hash(path(1))]
+        StoredPaths(store)[states_hash(path(1))]
