@@ -2,16 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int
 from cli.robot_options import add_robot, robot_source
-from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, UnknownChoiceError
+from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
+from cvqmpt_lab.labels.path_labels import PathRecipe
+from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.labels.roadmap_data import RoadmapRecipe
-from experiments.labels.training_data import PANDA, Recipe, SceneRecipe, generate
+from experiments.executors import Lost, local_processes
 from experiments.run import default_jobs
 
 EXAMPLES = (
@@ -21,8 +23,7 @@ EXAMPLES = (
     "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
 )
 ACTIONS = ("generate",)
-LABELS: Mapping[str, type[SceneRecipe]] = {"paths": Recipe, "roadmap": RoadmapRecipe}
-"""What scenes are labelled with: near-shortest paths; or verdicts on a dictionary's roadmap and paths through it."""
+LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +61,15 @@ def run(args: argparse.Namespace) -> int:
         raise UnknownChoiceError("kind of labels", args.labels, LABELS)
     recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, robot=robot)
     compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-    paths = generate(recipe, args.out, args.jobs, ["cvqmpt", *sys.argv[1:]], ProgressBar("data"))
+
+    def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:
+        with local_processes(args.jobs) as executor:
+            for number, shard in executor.results(make, numbers):
+                if isinstance(shard, Lost):
+                    raise CvqmptError(f"shard {number}: {shard.detail}; what was finished is kept")
+                yield shard
+
+    paths = generate(recipe, args.out, ["cvqmpt", *sys.argv[1:]], ProgressBar("data"), in_processes)
     print((args.out / "README.md").read_text())
     print(f"{paths} paths in {args.out}")
     return 0

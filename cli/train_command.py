@@ -13,11 +13,11 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.training.profiles import MODELS, PROFILES, Profile, profile_named
 from cvqmpt_lab.training.trainer import joined_processes, run_training
 
-PARTS = {"sight": 400}
-"""Small parts of a model, trained in minutes by kernels at hand, and the scenes that are enough for them."""
+EDGE_MODEL = ("edge-model", "sight")  # the second is its earlier name
+ENOUGH_SCENES = 400  # for the edge validity model
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
-    "cvqmpt train sight --data data/roadmap --out runs/seeing",
+    "cvqmpt train edge-model --data data/roadmap --out runs/edges",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train mpnet --data data/roadmap --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     parser.add_argument(
         "stage",
-        help=f"what to train: {', '.join(MODELS)}; or {', '.join(PARTS)}: a model's eyes, from data "
-        "with --labels roadmap",
+        help=f"what to train: {', '.join(MODELS)}; or edge-model: the edge validity model of a VQ-MPT, in minutes, "
+        "from data with --labels roadmap",
     )
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
@@ -47,10 +47,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for stage2 (of the authors' architecture): --out of stage1",
     )
     parser.add_argument(
-        "--model", metavar="DIR", help=f"for {', '.join(PARTS)}: whose they are (the shipped VQ-MPT)"
+        "--model", metavar="DIR", help="for edge-model: weights that get it (the shipped VQ-MPT)"
     )
     parser.add_argument(
-        "--scenes", type=positive_int, metavar="N", help=f"for {', '.join(PARTS)}: learn from so many at most"
+        "--scenes",
+        type=positive_int,
+        default=ENOUGH_SCENES,
+        metavar="N",
+        help=f"for edge-model: learn from so many at most ({ENOUGH_SCENES})",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
@@ -80,8 +84,8 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
     command = ["cvqmpt", *sys.argv[1:]]
     origin = provenance(command, [args.seed])
-    if args.stage in PARTS:
-        return _train_part(args, {"provenance": origin})
+    if args.stage in EDGE_MODEL:
+        return _train_edge_model(args, {"provenance": origin})
     progress = run_training(
         args.stage,
         profile,
@@ -107,12 +111,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _train_part(args: argparse.Namespace, metadata: dict) -> int:
-    from experiments.labels import part_training  # kernels, which a bare machine has not
+def _train_edge_model(args: argparse.Namespace, metadata: dict) -> int:
+    from cvqmpt_lab.labels.edge_labels import train_edge_model  # kernels, which a bare machine has not
 
-    scenes = args.scenes or PARTS[args.stage]
-    request = part_training.PartRequest(args.data, args.out, args.model, args.seed, scenes, metadata)
-    learned = part_training.train_eyes(request, ProgressBar(args.stage))
+    learned = train_edge_model(
+        args.data,
+        args.out,
+        args.model,
+        seed=args.seed,
+        scenes=args.scenes,
+        metadata=metadata,
+        on_progress=ProgressBar(args.stage),
+    )
     print(f"learned from {learned} examples; model in {args.out / 'model'}")
     return 0
 

@@ -11,6 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.labels.edge_labels import Examples, examples_of
+from cvqmpt_lab.labels.path_labels import unconstrained_space
+from cvqmpt_lab.labels.roadmap_labels import roadmap_graph, verdicts
 from cvqmpt_lab.methods.loaded import POINTS_SEEN, WRONG_SCENE, dictionary_roadmap
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.pipeline import solve
@@ -45,9 +48,6 @@ from cvqmpt_lab.sensing.virtual import (
 )
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from experiments.bench.measurement import CpuTimes, Measurement
-from experiments.labels.labelled_scenes import unconstrained_space
-from experiments.labels.roadmap_labels import roadmap_graph, verdicts
-from experiments.labels.sight_examples import Examples, examples_of
 
 FIRST_SCENE = 3000  # numbers that no dataset and no suite uses
 KITCHEN = "kitchen of the tasks"

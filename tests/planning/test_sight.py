@@ -10,7 +10,7 @@ from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.sight import CELL, Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.training.small_network import SmallNetworkSettings, train_sight
+from cvqmpt_lab.training.edge_model import fit_edge_model
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +82,13 @@ def test_training_finds_what_separates_free_from_blocked():
     rng = np.random.default_rng(5)
     features = rng.uniform(-0.6, 1.0, (6000, 8))
     free = features[:, [1, 4]].min(axis=1) > 0.0  # two joints matter
-    sight = train_sight(features, free, seed=0, settings=SmallNetworkSettings(epochs=20, batch=128))
+    sight = fit_edge_model(features, free, seed=0, epochs=20, batch=128)
     network = SmallNetwork.of(sight)
     hidden = np.maximum(features @ network.first.T + network.first_bias, 0.0)
     hidden = np.maximum(hidden @ network.second.T + network.second_bias, 0.0)
     said = hidden @ network.last + network.last_bias > 0.0
     assert (said == free).mean() > 0.95
-    again = train_sight(features, free, seed=0, settings=SmallNetworkSettings(epochs=20, batch=128))
+    again = fit_edge_model(features, free, seed=0, epochs=20, batch=128)
     np.testing.assert_array_equal(sight["first"], again["first"])
 
 

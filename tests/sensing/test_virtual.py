@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.labels.path_labels import SHAPES
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
@@ -27,7 +28,6 @@ from cvqmpt_lab.sensing.virtual import (
 )
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, sample_cloud
-from experiments.labels.labelled_scenes import SHAPES
 
 
 def test_a_written_view_is_read_back_to_half_a_millimetre(tmp_path):

@@ -10,6 +10,7 @@ from training_data import LOWER, UPPER, kinematics, write_dataset
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.labels.path_labels import SHAPES
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
@@ -30,7 +31,6 @@ from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, mea
 from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
 from cvqmpt_lab.vqmpt.inputs import SerialChain
 from cvqmpt_lab.vqmpt.point_encoder import SetAbstraction, TokenLevel
-from experiments.labels.labelled_scenes import SHAPES
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
 

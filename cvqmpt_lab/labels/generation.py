@@ -1,13 +1,12 @@
-"""Training data: random scenes and labels in them, in shards that can be resumed.
+"""Datasets of labelled random scenes, in shards, so that an interrupted generation can be continued.
 
-The folder's format is described in `cvqmpt_lab.training.shards`, which reads it. A shard depends on the
-recipe and its own number alone, so a dataset is the same however often it was interrupted. Scene numbers
-start at FIRST_SCENE: the scenes of evaluation suites have smaller ones.
+`cvqmpt_lab.training.shards` describes the folder and reads it. A shard depends on the recipe and its own number
+alone, so that a dataset is the same however often it was interrupted.
 """
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
-from cvqmpt_lab.planning.near_shortest import NearShortestSettings
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -29,33 +27,26 @@ from cvqmpt_lab.training.shards import (
     SHARDS_FOLDER,
     IndexRow,
     finished_shards,
-    packed_shard,
     write_shard,
 )
 from cvqmpt_lab.vqmpt.inputs import SerialChain
-from experiments.executors import Lost, local_processes
-from experiments.labels.dataset_card import dataset_card
-from experiments.labels.labelled_scenes import labelled_scene, shard_arrays
 
-FIRST_SCENE = 10_000_000
+FIRST_SCENE = 10_000_000  # scenes of evaluation suites have smaller numbers
 SCENES_PER_SEED = 1_000_000
 SCENES_PER_SHARD = 16
 PANDA = {"name": "panda"}
-TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a second, independent label
+Shard = tuple[IndexRow, bytes]
 
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
     """Which scenes a dataset is made of, and of which robot; what is labelled in them is its subclasses' business."""
 
-    scenes: int
-    """Number of scenes, families taking turns."""
-    paths_per_scene: int
-    """Pairs tried in each; some give no label."""
+    scenes: int  # in all, families taking turns
+    paths_per_scene: int  # pairs tried in each; some give no label
     families: tuple[str, ...] = tuple(FAMILIES)
     seed: int = 0
-    robot: Mapping[str, Any] = field(default_factory=PANDA.copy)
-    """As field 'robot' of a problem file."""
+    robot: Mapping[str, Any] = field(default_factory=PANDA.copy)  # as field 'robot' of a problem file
 
     def __post_init__(self) -> None:
         for family in self.families:
@@ -79,12 +70,11 @@ class SceneRecipe(ABC):
             family, number = self.scene_of(index)
             yield index, family, number, family_scene(self.families[family], number)
 
-    @abstractmethod
-    def prepare(self, out: Path) -> None:
+    def prepare(self, out: Path) -> None:  # noqa: B027 (nothing for most)
         """Write what shards have in common."""
 
     @abstractmethod
-    def shard(self, number: int) -> tuple[IndexRow, bytes]:
+    def shard(self, number: int) -> Shard:
         """One shard; it depends on the recipe and its number alone."""
 
     @abstractmethod
@@ -92,36 +82,16 @@ class SceneRecipe(ABC):
         """What the dataset holds, as a page to read."""
 
 
-@dataclass(frozen=True)
-class Recipe(SceneRecipe):
-    """Near-shortest paths in random scenes."""
-
-    labels: NearShortestSettings = field(default_factory=NearShortestSettings)
-
-    def prepare(self, out: Path) -> None:
-        """Nothing."""
-
-    def shard(self, number: int) -> tuple[IndexRow, bytes]:
-        """Labelled scenes; some of each family have twins."""
-        robot, scenes = robot_from_source(self.robot), []
-        for index, family, scene_number, scene in self.scenes_of(number):
-            with_twins = index // len(self.families) % TWIN_EVERY == 0
-            seed = (self.seed, index)
-            draw = labelled_scene(
-                robot, scene, self.paths_per_scene, self.labels, seed, with_twins=with_twins
-            )
-            scenes.append((family, scene_number, draw))
-        return packed_shard(number, shard_arrays(scenes))
-
-    def card(self, out: Path) -> str:
-        """Counts and twin ratios."""
-        return dataset_card(out)
-
-
 def generate(
-    recipe: SceneRecipe, out: Path, jobs: int, command: list[str], on_progress: Callable[[int, int], None]
+    recipe: SceneRecipe,
+    out: Path,
+    command: list[str],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    apply: Callable[[Callable[[int], Shard], list[int]], Iterable[Shard]] = map,
 ) -> int:
     """Write the shards that `out` does not have yet; returns the number of paths in all.
+
+    apply: calls a function with every number and gives its results in any order; one after the other by default.
 
     Raises
     ------
@@ -135,15 +105,10 @@ def generate(
         count = -(-recipe.scenes // SCENES_PER_SHARD)
         done = {row.shard: row for row in finished_shards(out)}
         on_progress(len(done), count)
-        left = [k for k in range(count) if k not in done]
-        with local_processes(jobs) as executor:
-            for k, shard in executor.results(recipe.shard, left):
-                if isinstance(shard, Lost):
-                    raise CvqmptError(f"shard {k}: {shard.detail}; what was finished is kept")
-                row, content = shard
-                done[row.shard] = row
-                write_shard(out, row, content, done.values())
-                on_progress(len(done), count)
+        for row, content in apply(recipe.shard, [k for k in range(count) if k not in done]):
+            done[row.shard] = row
+            write_shard(out, row, content, done.values())
+            on_progress(len(done), count)
         write_text(out / "README.md", recipe.card(out))
     return sum(row.paths for row in done.values())
 
@@ -168,14 +133,14 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
         "joints": list(robot.joint_names),
         "kinematics_digest": robot.kinematics_digest,
         "families": list(recipe.families),
-        "kinematics": to_plain(_chain(robot)),
+        "kinematics": to_plain(serial_chain(robot)),
         "recipe": settings,
         "provenance": provenance(command, [recipe.seed]),
     }
     write_text(path, json.dumps(description, indent=1) + "\n")
 
 
-def _chain(robot: Robot) -> SerialChain:
+def serial_chain(robot: Robot) -> SerialChain:
     """Kinematics with a point on each joint but the first, and the hand."""
     kinematics, (hand, T) = robot.kinematics, robot.end_effector_link
     offsets = np.zeros((robot.dof, 3))

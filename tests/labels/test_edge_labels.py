@@ -1,4 +1,4 @@
-"""From labels to eyes that tell free from blocked, on a few scenes."""
+"""From labels to an edge validity model that tells free from blocked, on a few scenes."""
 
 from dataclasses import replace
 
@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.labels.edge_labels import examples_of, train_edge_model
+from cvqmpt_lab.labels.generation import generate
+from cvqmpt_lab.labels.path_labels import unconstrained_space
+from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe, verdicts
 from cvqmpt_lab.methods.learned import roadmap_path
 from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.methods.table import planner_named
@@ -18,12 +22,6 @@ from cvqmpt_lab.training.shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_model
 from experiments.bench.perception import area, calibration_error
-from experiments.labels.labelled_scenes import unconstrained_space
-from experiments.labels.part_training import PartRequest, train_eyes
-from experiments.labels.roadmap_data import RoadmapRecipe
-from experiments.labels.roadmap_labels import verdicts
-from experiments.labels.sight_examples import examples_of
-from experiments.labels.training_data import generate
 from experiments.suites.place_task import place_problem
 
 
@@ -40,39 +38,33 @@ def test_calibration_compares_said_with_seen():
     assert calibration_error(odds, free) == pytest.approx(0.5 * 0.2)
 
 
-def request(data, out, **changes):
-    return PartRequest(
-        **{"data": data, "out": out, "model": None, "seed": 0, "scenes": 400, "metadata": {}} | changes
-    )
-
-
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     out = tmp_path_factory.mktemp("labels")
-    generate(RoadmapRecipe(16, 2, ("table", "shelves")), out, 1, ["test"], lambda done, total: None)
+    generate(RoadmapRecipe(16, 2, ("table", "shelves")), out, ["test"])
     return out
 
 
-def test_eyes_trained_on_a_few_scenes_know_free_from_blocked_in_another(data, tmp_path):
+def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data, tmp_path):
     robot = panda()
-    assert train_eyes(request(data, tmp_path), lambda done, total: None) == 14 * (256 + 512)
+    assert train_edge_model(data, tmp_path, scenes=400, metadata={}) == 14 * (256 + 512)
     model = read_model(tmp_path / "model", architecture=VQ_MPT)
     shipped = load_vq_mpt(robot)
     np.testing.assert_array_equal(
         model.parts["dictionary"]["quantizer.embedding.weight"],
         shipped.parts["dictionary"]["quantizer.embedding.weight"],
     )
-    eyes, graph = Eyes(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
+    edge_model, graph = Eyes(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
     scene = family_scene("shelves", 7)
     checked = verdicts(unconstrained_space(robot, scene), graph.nodes, graph.edges, graph.edge_possible)
     cloud = camera_cloud(scene, CameraSettings.like_training(4096), np.random.default_rng(0))
-    seen = examples_of(eyes, cloud, graph, *checked)
+    seen = examples_of(edge_model, cloud, graph, *checked)
     assert area(seen.odds[seen.edge], seen.free[seen.edge]) > 0.97
-    nowhere = examples_of(eyes, cloud + 5.0, graph, *checked)
+    nowhere = examples_of(edge_model, cloud + 5.0, graph, *checked)
     assert area(nowhere.odds[seen.edge], seen.free[seen.edge]) < 0.8
 
 
-def test_a_model_without_eyes_goes_blindly_or_not_at_all(tmp_path):
+def test_weights_without_an_edge_model_go_without_cloud_or_not_at_all(tmp_path):
     model = load_vq_mpt(panda())
     write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
     assert roadmap_path()(panda(), Weights("vq_mpt", str(tmp_path / "m"))).observe is None
@@ -85,6 +77,6 @@ def test_a_model_without_eyes_goes_blindly_or_not_at_all(tmp_path):
 
 def test_data_without_a_scene_to_train_on_is_refused(tmp_path):
     out = tmp_path / "one"  # its only scene validates
-    generate(RoadmapRecipe(1, 2, ("table",)), out, 1, ["test"], lambda done, total: None)
+    generate(RoadmapRecipe(1, 2, ("table",)), out, ["test"])
     with pytest.raises(InvalidInputError, match="no scene to train on"):
-        train_eyes(request(out, tmp_path), lambda done, total: None)
+        train_edge_model(out, tmp_path, scenes=400, metadata={})

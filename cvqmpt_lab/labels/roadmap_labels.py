@@ -1,29 +1,44 @@
-"""What a whole roadmap is worth in one scene: every node and edge checked, and shortest paths through it.
+"""Labels on a dictionary's roadmap: every node and edge checked in random scenes, and shortest paths through it.
 
-Labels that are functions of the scene: of start and goal anywhere, the codes on the shortest path, by Dijkstra.
+They are functions of the scene: of start and goal anywhere, the codes on the shortest path, by Dijkstra.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search.edge_verdicts import edge_verdicts
 from cvqmpt_lab.kernels.search.motion import motion_free
-from cvqmpt_lab.planning.code_graph import CodeEdges, nearest_rows
-from cvqmpt_lab.planning.roadmap import Roadmap
-from cvqmpt_lab.planning.space import ConstrainedSpace
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.training.shards import RoadmapGraph
-from experiments.labels.labelled_scenes import (
+from cvqmpt_lab.labels.generation import SceneRecipe, Shard
+from cvqmpt_lab.labels.path_labels import (
     CANDIDATES,
     near_obstacles,
     packed,
     scene_shapes,
     unconstrained_space,
+)
+from cvqmpt_lab.methods.loaded import dictionary_roadmap
+from cvqmpt_lab.methods.method import Weights
+from cvqmpt_lab.planning.code_graph import CodeEdges, nearest_rows
+from cvqmpt_lab.planning.roadmap import Roadmap
+from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.training.dataset import VALIDATION_EVERY
+from cvqmpt_lab.training.shards import (
+    ROADMAP_FILE,
+    RoadmapGraph,
+    RoadmapShard,
+    packed_shard,
+    read_roadmap_shards,
 )
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
@@ -32,36 +47,27 @@ MARGIN = 0.002  # [m] that free motions keep from obstacles
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
 
 
-@dataclass(frozen=True, eq=False)
-class RoadmapLabels:
-    """What training learns from one scene; p pairs of start and goal, codes of all paths in a row."""
+class RoadmapLabels(NamedTuple):
+    """What training learns from one scene; p pairs of start and goal."""
 
     robot: Robot
     scene: Scene
-    node_free: np.ndarray
-    """(N,) bool."""
-    edge_free: np.ndarray
-    """(E,) bool."""
-    ends: np.ndarray
-    """(p, 2, n) starts and goals [rad]."""
-    codes: list[np.ndarray]
-    """Of each path, (k,); none where no path was found."""
-    cost: np.ndarray
-    """(p,) length of the shortest path [rad], inf where there is none."""
-    differs: np.ndarray
-    """(p,) bool: its codes are others than those of the shortest path that ignores the scene."""
+    node_free: np.ndarray  # (N,) bool
+    edge_free: np.ndarray  # (E,) bool
+    ends: np.ndarray  # (p, 2, n) starts and goals [rad]
+    codes: list[np.ndarray]  # of each path, (k,); none where no path was found
+    cost: np.ndarray  # (p,) length of the shortest path [rad], inf where there is none
+    differs: (
+        np.ndarray
+    )  # (p,) bool: its codes are others than those of the shortest path that ignores the scene
 
 
-@dataclass(frozen=True, eq=False)
-class Paths:
+class ShortestPaths(NamedTuple):
     """Shortest paths from every start to every goal."""
 
-    cost: np.ndarray
-    """(s, g) [rad], inf where there is none."""
-    before: np.ndarray
-    """(s, rows) row before each row on the way from a start, negative where there is none."""
-    first_goal: int
-    """Row of goal 0; smaller ones below the number of nodes are codes."""
+    cost: np.ndarray  # (s, g) [rad], inf where there is none
+    before: np.ndarray  # (s, rows) row before each row on the way from a start, negative where there is none
+    first_goal: int  # row of goal 0; smaller ones below the number of nodes are codes
 
     def codes(self, start: int, goal: int) -> np.ndarray:
         """Codes (k,) from a start to a goal, none where there is no path."""
@@ -70,6 +76,87 @@ class Paths:
             rows.append(row)
             row = int(self.before[start, row])
         return np.array(rows[-2::-1], np.int64)  # the last one is the start itself
+
+
+@dataclass(frozen=True)
+class RoadmapRecipe(SceneRecipe):
+    """Labels on the roadmap of a dictionary."""
+
+    labels: str = field(default="roadmap", init=False)
+    model: str | None = None  # name or folder of the dictionary's weights; None for the shipped
+
+    def prepare(self, out: Path) -> None:
+        """Write the roadmap, or check that it is the one that is there."""
+        graph = _graph(self.model, robot_from_source(self.robot))
+        if (out / ROADMAP_FILE).exists() and RoadmapGraph.read(out).digest != graph.digest:
+            raise InvalidInputError(f"{out} holds labels of another dictionary; choose another --out")
+        graph.write(out)
+
+    def shard(self, number: int) -> Shard:
+        """Scenes with all their nodes and edges checked."""
+        robot = robot_from_source(self.robot)
+        graph, scenes = _graph(self.model, robot), []
+        for index, family, scene_number, scene in self.scenes_of(number):
+            draw = roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
+            if draw is not None:
+                scenes.append((family, scene_number, draw))
+        return packed_shard(number, roadmap_arrays(scenes))
+
+    def card(self, out: Path) -> str:
+        """Counts, shares and lengths by family, of both splits."""
+        shards = read_roadmap_shards(out)
+        graph = shards[0].graph
+        lines = [
+            "# Labels on a dictionary's roadmap",
+            "",
+            f"{len(graph.nodes)} nodes and {len(graph.edges)} edges of the dictionary {graph.digest[:12]}; the robot "
+            f"itself allows {graph.node_possible.mean():.3f} of the nodes and {graph.edge_possible.mean():.3f} of the "
+            f"edges. Scenes whose number is divisible by {VALIDATION_EVERY} validate. Pairs of start and goal, half of "
+            "them near an obstacle, whose straight motion is blocked. No path: through this roadmap. Others than "
+            "blind: the codes differ from those of the shortest path in an empty scene. Detour: length of the shortest "
+            "path over that of the straight line, mean. Scenes with a wall millimetres "
+            f"from the base are left out: {self.scenes - sum(len(shard.arrays['family']) for shard in shards)}.",
+            "",
+            "| family | scenes | of them validate | nodes free | edges free | pairs | no path | others than blind "
+            "| detour | codes a path |",
+            "|---|---|---|---|---|---|---|---|---|---|",
+            *(_row(shards, name, [k]) for k, name in enumerate(self.families)),
+            _row(shards, "all", list(range(len(self.families)))),
+        ]
+        return "\n".join(lines) + "\n"
+
+
+@lru_cache(maxsize=1)
+def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
+    return roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt", model), robot))
+
+
+def _row(shards: list[RoadmapShard], name: str, families: list[int]) -> str:
+    """Counts and means of the scenes of some families."""
+    scenes = validate = pairs = codes = 0
+    node_free, edge_free, found, differs, detour = [], [], [], [], []
+    for shard in shards:
+        arrays = shard.arrays
+        own = np.isin(arrays["family"], families)
+        scenes += int(own.sum())
+        validate += int((own & (arrays["scene_seed"] % VALIDATION_EVERY == 0)).sum())
+        node_free += [shard.node_free(scene).mean() for scene in np.flatnonzero(own).tolist()]
+        edge_free += [shard.edge_free(scene).mean() for scene in np.flatnonzero(own).tolist()]
+        paths = own[arrays["path_scene"]]
+        solved = paths & np.isfinite(arrays["cost"])
+        pairs += int(paths.sum())
+        codes += int(np.diff(arrays["code_start"])[solved].sum())
+        found.append(np.isfinite(arrays["cost"])[paths])
+        differs.append(arrays["differs"][solved])
+        detour.append(arrays["cost"][solved] / arrays["straight"][solved])
+    if pairs == 0:
+        return f"| {name} | {scenes} | {validate} | - | - | 0 | - | - | - | - |"
+    solved_share, count = np.concatenate(found).mean(), max(int(np.concatenate(found).sum()), 1)
+    return (
+        f"| {name} | {scenes} | {validate} | {np.mean(node_free):.2f} | {np.mean(edge_free):.2f} | {pairs} "
+        f"| {100 * (1 - solved_share):.0f} % | {100 * np.concatenate(differs).mean():.0f} % "
+        f"| {np.concatenate(detour).mean():.2f} | {codes / count:.1f} |"
+    )
 
 
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
@@ -156,7 +243,7 @@ def links_to_nearest(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return np.stack([np.repeat(rows, LINKS), nearest.ravel()], axis=1).astype(np.int32)
 
 
-def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int) -> Paths:
+def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int) -> ShortestPaths:
     """Shortest paths over edges both ways, links from starts and links to goals.
 
     nodes: the roadmap's `count` nodes, STARTS starts, then goals.
@@ -167,9 +254,9 @@ def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, coun
     graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
     starts = np.arange(count, min(count + STARTS, len(nodes)))
     if len(starts) == 0:
-        return Paths(np.empty((0, 0)), np.empty((0, len(nodes))), count)
+        return ShortestPaths(np.empty((0, 0)), np.empty((0, len(nodes))), count)
     cost, before = dijkstra(graph, indices=starts, return_predecessors=True)
-    return Paths(cost[:, count + STARTS :], before, count + STARTS)
+    return ShortestPaths(cost[:, count + STARTS :], before, count + STARTS)
 
 
 def roadmap_arrays(scenes: Sequence[tuple[int, int, RoadmapLabels]]) -> dict[str, np.ndarray]:

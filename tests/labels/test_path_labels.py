@@ -12,21 +12,21 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.labels import generation, path_labels
+from cvqmpt_lab.labels.generation import generate
+from cvqmpt_lab.labels.path_labels import PathRecipe, dataset_card
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.stage1 import LinkPositions
-from experiments.labels import labelled_scenes, training_data
-from experiments.labels.dataset_card import dataset_card
-from experiments.labels.training_data import Recipe, generate
 
-TINY = Recipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
+TINY = PathRecipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
 
 
 def make(out, recipe=TINY):
-    return generate(recipe, out, 1, ["test"], lambda done, total: None)
+    return generate(recipe, out, ["test"])
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def shards(out):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_scenes_depend_on_their_number_alone_and_leave_room(family):
-    number = training_data.FIRST_SCENE
+    number = generation.FIRST_SCENE
     scene = family_scene(family, number)
     assert scene == family_scene(family, number) and scene != family_scene(family, number + 1)
     robot = panda()
@@ -64,7 +64,7 @@ def test_paths_are_free_and_join_their_ends(tiny):
             checkers[scene] = CollisionChecker(robot, made)
         q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-        assert steps.max() < labelled_scenes.SPACING + 1e-3
+        assert steps.max() < path_labels.SPACING + 1e-3
         # waypoints cut corners by less than a tenth of their spacing
         assert steps.sum() == pytest.approx(dataset.paths.length[path], rel=0.01)
         assert dataset.paths.length[path] >= dataset.paths.straight[path] - 1e-4
@@ -109,11 +109,11 @@ def test_a_folder_that_another_run_writes_is_refused(tiny):
 
 def test_another_recipe_in_the_same_folder_is_refused(tiny):
     with pytest.raises(InvalidInputError, match="another recipe"):
-        make(tiny, Recipe(6, 3, TINY.families, labels=TINY.labels))
+        make(tiny, PathRecipe(6, 3, TINY.families, labels=TINY.labels))
 
 
 def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):
-    chain = training_data._chain(slider_arm)
+    chain = generation.serial_chain(slider_arm)
     q = slider_arm.random_configurations(np.random.default_rng(0), 20)
     links = LinkPositions(tuple(slider_arm.lower), tuple(slider_arm.upper), chain)
     found = links.positions(torch.tensor(q)).reshape(20, -1, 3)
@@ -164,8 +164,8 @@ def test_unknown_families_are_listed():
 
 
 def test_more_restarts_make_shorter_labels():
-    scene = family_scene("cubes-spheres", training_data.FIRST_SCENE + 4)
-    space, lengths = labelled_scenes.unconstrained_space(panda(), scene), {1: [], 12: []}
+    scene = family_scene("cubes-spheres", generation.FIRST_SCENE + 4)
+    space, lengths = path_labels.unconstrained_space(panda(), scene), {1: [], 12: []}
     rng = np.random.default_rng(0)
     states = space.robot.random_configurations(rng, 600)
     states = [q for q in states if space.valid(q)]

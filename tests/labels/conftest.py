@@ -2,11 +2,11 @@
 
 import pytest
 
-from experiments.labels import training_data
+from cvqmpt_lab.labels import generation
 
 
 @pytest.fixture(scope="module")
 def two_scenes_a_shard():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training_data, "SCENES_PER_SHARD", 2)
+        patch.setattr(generation, "SCENES_PER_SHARD", 2)
         yield

@@ -1,20 +1,27 @@
-"""Scenes with near-shortest paths: what shards are made of."""
+"""Near-shortest paths in random scenes, the labels that VQ-MPT and MPNet learn from."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
+from cvqmpt_lab.labels.generation import SceneRecipe, Shard
 from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
-from cvqmpt_lab.training.shards import FULL_SCALE
+from cvqmpt_lab.training.dataset import PathDataset, open_dataset
+from cvqmpt_lab.training.shards import DESCRIPTION_FILE, FULL_SCALE, packed_shard
 
 SPACING = 0.13  # [rad] between stored waypoints
 NEAR_HAND = 0.25  # [m] of an obstacle: a task-like configuration
@@ -23,64 +30,60 @@ DETOUR = 1.03  # a path is nearly straight unless it is this much longer than th
 MOST_STRAIGHT = 0.5  # share of a scene's paths that may be straight lines or nearly so
 REDRAWS = 10  # pairs drawn to find one that is not trivial
 CANDIDATES = 512  # configurations drawn per scene to choose starts and goals from
+TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a second, independent label
+SHAPES = {
+    Box: lambda box: (0, box.size),
+    Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
+    Sphere: lambda sphere: (2, (sphere.radius,) * 3),
+}
 
 
-@dataclass(frozen=True, eq=False)
-class _Label:
+@dataclass(frozen=True)
+class PathRecipe(SceneRecipe):
+    """Near-shortest paths in random scenes."""
+
+    labels: NearShortestSettings = field(default_factory=NearShortestSettings)
+
+    def shard(self, number: int) -> Shard:
+        """Labelled scenes; some of each family have twins."""
+        robot, scenes, labels = robot_from_source(self.robot), [], []
+        for index, family, scene_number, scene in self.scenes_of(number):
+            with_twins = index // len(self.families) % TWIN_EVERY == 0
+            rng = np.random.default_rng((self.seed, index))
+            space = unconstrained_space(robot, scene)
+            labels.append(_labels(space, rng, self.paths_per_scene, self.labels, with_twins))
+            scenes.append((family, scene_number, scene))
+        return packed_shard(number, scene_shapes(scenes) | _path_arrays(robot, labels))
+
+    def card(self, out: Path) -> str:
+        """Counts and twin ratios."""
+        return dataset_card(out)
+
+
+class _Label(NamedTuple):
     """A path of one scene."""
 
     path: JointPath
-    trivial: bool
-    """The straight line is free."""
-    twin_of: int
-    """Index of the path, in the same scene, of which it is a second label, or -1."""
+    trivial: bool  # the straight line is free
+    twin_of: int  # index of the path, in the same scene, of which it is a second label, or -1
 
 
-@dataclass(frozen=True, eq=False)
-class LabelledScene:
-    """What training learns from one scene."""
-
-    robot: Robot
-    scene: Scene
-    labels: list[_Label]
-
-
-def labelled_scene(
-    robot: Robot,
-    scene: Scene,
-    pairs: int,
-    settings: NearShortestSettings,
-    seed: Sequence[int],
-    *,
-    with_twins: bool,
-) -> LabelledScene:
-    """Label a scene: paths between `pairs` pairs of configurations, some of which give none."""
-    space = unconstrained_space(robot, scene)
-    rng = np.random.default_rng(seed)
-    return LabelledScene(robot, scene, _labels(space, rng, pairs, settings, with_twins))
-
-
-def shard_arrays(scenes: Sequence[tuple[int, int, LabelledScene]]) -> dict[str, np.ndarray]:
-    """Arrays of a shard, from the family, the number and the labels of each scene."""
-    draws = [draw for _, _, draw in scenes]
-    labels = [label for draw in draws for label in draw.labels]
-    before = np.cumsum([0, *(len(draw.labels) for draw in draws)])
-    twins = [
-        label.twin_of + offset if label.twin_of >= 0 else -1
-        for draw, offset in zip(draws, before.tolist(), strict=False)
-        for label in draw.labels
-    ]
-    robot = draws[0].robot
+def _path_arrays(robot: Robot, scenes: Sequence[list[_Label]]) -> dict[str, np.ndarray]:
+    """Arrays of the labels of each scene of a shard."""
+    labels = [label for scene in scenes for label in scene]
+    counts = [len(scene) for scene in scenes]
+    before = np.repeat(np.cumsum(counts) - counts, counts).astype(int)
+    twin_of = np.array([label.twin_of for label in labels], np.int32)
     waypoints = [packed(robot, label.path.spaced(SPACING)) for label in labels]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for label in labels]
-    return scene_shapes([(family, number, draw.scene) for family, number, draw in scenes]) | {
-        "path_scene": np.repeat(np.arange(len(draws)), np.diff(before)).astype(np.int32),
+    return {
+        "path_scene": np.repeat(np.arange(len(scenes)), counts).astype(np.int32),
         "path_start": np.cumsum([0, *(len(w) for w in waypoints)], dtype=np.int32),
         "waypoints": np.concatenate([np.empty((0, robot.dof), np.uint16), *waypoints]),
         "length": np.array([label.path.length for label in labels], np.float32),
         "straight": np.array(straight, np.float32),
         "trivial": np.array([label.trivial for label in labels], bool),
-        "twin_of": np.array(twins, np.int32),
+        "twin_of": np.where(twin_of >= 0, twin_of + before, -1).astype(np.int32),
     }
 
 
@@ -96,13 +99,6 @@ def scene_shapes(scenes: Sequence[tuple[int, int, Scene]]) -> dict[str, np.ndarr
         "shape_size": np.array([size for _, size in described], np.float32).reshape(-1, 3),
         "shape_pose": np.array([item.T_world_object[:3] for item in items], np.float32).reshape(-1, 3, 4),
     }
-
-
-SHAPES = {
-    Box: lambda box: (0, box.size),
-    Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
-    Sphere: lambda sphere: (2, (sphere.radius,) * 3),
-}
 
 
 def unconstrained_space(robot: Robot, scene: Scene) -> ConstrainedSpace:
@@ -139,11 +135,8 @@ def _labels(
                 break
         else:
             continue
-        path = (
-            JointPath(np.array([start, goal]))
-            if trivial
-            else near_shortest(space, start, goal, rng, settings)
-        )
+        line = JointPath(np.array([start, goal]))
+        path = line if trivial else near_shortest(space, start, goal, rng, settings)
         if path is None:
             continue
         nearly = path.length < DETOUR * np.linalg.norm(goal - start)
@@ -181,6 +174,58 @@ def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)
 
 
-def unpacked(robot: Robot, shares: np.ndarray) -> np.ndarray:
-    """What `packed` stored [rad or m]."""
-    return robot.lower + shares / FULL_SCALE * (robot.upper - robot.lower)
+def dataset_card(folder: Path) -> str:
+    """What a dataset holds, counted from its shards, and how far two labels of one problem lie apart."""
+    dataset = open_dataset(folder, verify=False)
+    every = range(len(dataset.families))
+    lines = [
+        f"# Training paths of {dataset.robot.name}",
+        "",
+        f"Recipe: `{json.dumps(read_json_object(folder / DESCRIPTION_FILE).get('recipe'))}`",
+        "",
+        "Scenes whose number is divisible by 20 validate, the others train. Twins are second, independent labels; "
+        "the ratio is their mean waypoint distance over that from the first label to the straight line.",
+        "",
+        "| family | scenes | paths | trivial | length rad | straight rad | twins | twin / straight-line distance |",
+        "|---|---|---|---|---|---|---|---|",
+        *(_card_row(dataset, dataset.families[k], [k]) for k in every),
+        _card_row(dataset, "all", every),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
+    """Counts and means of the scenes of some families."""
+    scenes, paths = dataset.scenes, dataset.paths
+    chosen = np.isin(scenes.family, families)
+    own = chosen[paths.scene]
+    first, twins = np.flatnonzero(own & (paths.twin_of < 0)), np.flatnonzero(own & (paths.twin_of >= 0))
+    share = f"{100 * paths.trivial[first].mean():.0f} %" if len(first) else "-"
+    means = [f"{array[first].mean():.2f}" if len(first) else "-" for array in (paths.length, paths.straight)]
+    ratio = _ratio(dataset, twins)
+    return (
+        f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | {len(twins)} | {ratio} |"
+    )
+
+
+def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
+    """Mean waypoint distance of twins to their first labels, over that of the latter to the straight line."""
+    if len(twins) == 0:
+        return "-"
+    span = np.array(dataset.robot.upper) - np.array(dataset.robot.lower)
+    apart = off_line = 0.0
+    marks = np.linspace(0.0, 1.0, 32)
+    for twin in twins.tolist():
+        one, other = (
+            _resampled(dataset.paths.joints(p) * span, marks) for p in (twin, dataset.paths.twin_of[twin])
+        )
+        line = other[0] + marks[:, None] * (other[-1] - other[0])
+        apart += float(np.linalg.norm(one - other, axis=1).mean())
+        off_line += float(np.linalg.norm(other - line, axis=1).mean())
+    return f"{apart / off_line:.2f}" if off_line else "-"
+
+
+def _resampled(path: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Waypoints of a path (t, n) at shares of their number."""
+    places = np.linspace(0.0, 1.0, len(path))
+    return np.stack([np.interp(marks, places, joint) for joint in path.T], axis=1)

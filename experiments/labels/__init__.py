@@ -1,1 +1,0 @@
-"""Training data: scenes, labels in them, datasets in shards, and examples for eyes."""
