@@ -1,6 +1,6 @@
 """Held-out scenes of the training families: move between two random upright hand poses, upright all the way.
 
-Scene numbers below FIRST_SCENE of `training_data` occur in no dataset.
+Scene numbers below FIRST_SCENE of `cvqmpt_lab.labels.generation` occur in no dataset.
 """
 
 from collections.abc import Mapping
