@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     print(
         f"{found.moved_metres * 1e3:.0f} mm and {found.moved_degrees:.1f} deg from the guess; points on the arm lie "
         f"{1e3 * found.residual:.1f} mm from its surface, {100 * found.confirmed:.0f} % of what is in view of it is "
-        f"where it should be, its position is known to {1e3 * found.doubt:.1f} mm"
+        f"where it should be, its position is known to {1e3 * found.deviation:.1f} mm"
     )
     for doubt in found.doubts:
         print(f"not trusted: {doubt}")

@@ -1,4 +1,4 @@
-"""Point clouds from files: NPY, PCD, PLY, XYZ.
+"""Point clouds from files and to files: PCD, PLY, NPY, lines of numbers.
 
 A header is believed only as far as the file's size bears it out: counts are compared with what the file can hold
 before anything is read, and with what was read afterwards. Memory stays within a small multiple of the file's size.
@@ -9,7 +9,6 @@ import io
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,21 +19,76 @@ from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, write_bytes
 
-# What readers of clouds and meshes share: whole files, errors in one line, lengths that can be meant.
 MOST_BYTES = 2**31  # of a file
+MOST_COLUMNS = 1000  # of a row
+LONGEST_HEADER = 1_000_000  # [bytes]
+EXPANSION = 300  # bytes at most that LZF makes of one
 FARTHEST = 1000.0  # [m] that a coordinate may be from the origin
 ROOM = 50.0  # [m] within which at least half of all points must lie
 SPECK = 1e-3  # [m] that the whole must exceed in some direction
+PCD_TYPES = {("F", 4): "f4", ("F", 8): "f8"} | {
+    (kind, size): f"{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)
+}
+PLY_TYPES = {
+    **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
+    **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+class CloudRead(NamedTuple):
+    """A cloud as a file holds it."""
+
+    points: FloatArray  # (m, 3), m >= 1, all finite [m]
+    dropped: int  # points left out because a coordinate was not finite
+
+
+class Column(NamedTuple):
+    """A number of each row."""
+
+    name: str
+    kind: str  # as numpy writes it, without byte order: "f4"
+
+
+def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
+    """Read the points of a file, whose suffix says what it is (see `READERS`); scale: [m] of one unit of the file.
+
+    Raises
+    ------
+    UnknownChoiceError: another suffix.
+    InvalidInputError: a file that cannot be read, contradicts itself, has no finite point, or is evidently not in
+        metres; names the file.
+    """
+    path = Path(path)
+    reader = READERS[kind_of(path, READERS, "cloud")]
+    data = file_bytes(path, "cloud")
+    with parsing(path, "cloud"), np.errstate(over="ignore", invalid="ignore"):
+        points = scale * reader(data).astype(np.float64)
+    finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])  # 5 times as fast as by rows
+    if not finite.any():
+        raise InvalidInputError(
+            f"cloud {path}: none of its {len(points)} points is finite; give one that has some"
+        )
+    check_lengths(points[finite], f"cloud {path}")
+    return CloudRead(points[finite], int(len(points) - finite.sum()))
+
+
+def write_cloud(path: Path | str, points: FloatArray) -> None:
+    """Write points (m, 3) [m] in single precision, whole or not at all; the suffix says how (see `WRITERS`)."""
+    path = Path(path)
+    write = WRITERS[kind_of(path, WRITERS, "cloud")]
+    write_bytes(path, write(np.ascontiguousarray(points, dtype="<f4")))
 
 
 def file_bytes(path: Path, what: str) -> bytes:
     """The content of a regular file; a pipe, a folder or one beyond `MOST_BYTES` is refused."""
     if path.exists() and not path.is_file():
         raise InvalidInputError(f"cannot read {what} {path}: it is no regular file")
-    data = read_bytes(path, what) if not path.exists() or path.stat().st_size <= MOST_BYTES else None
-    if data is None:
+    if path.exists() and path.stat().st_size > MOST_BYTES:
         raise InvalidInputError(f"cannot read {what} {path}: more than {MOST_BYTES} bytes; make it smaller")
-    return data
+    return read_bytes(path, what)
 
 
 def kind_of(path: Path, kinds: Mapping[str, object], what: str) -> str:
@@ -61,14 +115,12 @@ def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
     room: [m] within which at least half of them must lie.
     """
     off = np.maximum.reduce([np.abs(axis) for axis in points.T])
-    largest = float(off.max())
+    largest, middling = float(off.max()), float(np.median(off))
     if largest > FARTHEST:
-        row = int(np.argmax(off))
         raise InvalidInputError(
-            f"{what}: point {row} is {largest:.3g} m off the origin, more than {FARTHEST:g}; "
+            f"{what}: point {int(np.argmax(off))} is {largest:.3g} m off the origin, more than {FARTHEST:g}; "
             "scale or remove it (millimetres: scale 0.001)"
         )
-    middling = float(np.median(off))
     if middling > room:
         raise InvalidInputError(
             f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a scale "
@@ -81,80 +133,8 @@ def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
         )
 
 
-# Rows of named numbers, as text or binary, of which x, y and z are wanted.
-AXES = ("x", "y", "z")
-MOST_COLUMNS = 1000  # of a row
-
-
-@dataclass(frozen=True)
-class Column:
-    """A number of each row."""
-
-    name: str
-    kind: str
-    """As numpy writes it, without byte order: "f4"."""
-
-
-def three(columns: Sequence[Column], values: Callable[[int], np.ndarray]) -> np.ndarray:
-    """The columns x, y and z as points (m, 3); values gives column k."""
-    return np.stack([values(k).astype(np.float64) for k in places(columns)], axis=1)
-
-
-def places(columns: Sequence[Column]) -> list[int]:
-    """Which columns are x, y and z; each must occur once."""
-    names = [column.name for column in columns]
-    for axis in AXES:
-        if names.count(axis) != 1:
-            raise InvalidInputError(
-                f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}"
-            )
-    return [names.index(axis) for axis in AXES]
-
-
-def row_bytes(columns: Sequence[Column]) -> int:
-    """Size of a binary row."""
-    return sum(np.dtype(column.kind).itemsize for column in columns)
-
-
-def from_rows(body: bytes, columns: Sequence[Column], count: int, order: str) -> np.ndarray:
-    """Points of the first `count` binary rows; order: of their bytes, "<" or ">"."""
-    size = row_bytes(columns)
-    if count < 0 or count * size > len(body):
-        raise InvalidInputError(
-            f"its header says {count} points, the file holds {len(body) // max(1, size)}: cut short?"
-        )
-    rows = np.frombuffer(
-        body, np.dtype([(f"{k}", order + item.kind) for k, item in enumerate(columns)]), count
-    )
-    return three(columns, lambda k: rows[f"{k}"])
-
-
-def from_text(text: str, columns: Sequence[Column]) -> np.ndarray:
-    """Points of lines of numbers."""
-    return numbers_in(text, places(columns))
-
-
-def numbers_in(text: str, chosen: Sequence[int]) -> np.ndarray:
-    """Some columns of lines of numbers (m, k)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no data, which callers say themselves
-        found = np.loadtxt(io.StringIO(text), usecols=chosen, ndmin=2, comments=("#", "//"))
-    return found.reshape(-1, len(chosen))
-
-
-def as_counted(points: np.ndarray, count: int) -> np.ndarray:
-    """The points, if they are as many as the header says."""
-    if len(points) != count:
-        raise InvalidInputError(f"its header says {count} points, the file holds {len(points)}")
-    return points
-
-
-# Arrays of NPY files, without the memory that a lying header asks for.
-HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-
-
 def read_array(data: bytes) -> np.ndarray:
-    """The array of a NPY file, read-only.
+    """The array of a NPY file, read-only, without the memory that a wrong header asks for.
 
     Raises
     ------
@@ -163,9 +143,9 @@ def read_array(data: bytes) -> np.ndarray:
     """
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
-    if version not in HEADERS:
+    if version not in NPY_HEADERS:
         raise InvalidInputError(f"NPY version {version} is not known; write version 1 or 2")
-    shape, by_column, kind = HEADERS[version](stream)
+    shape, by_column, kind = NPY_HEADERS[version](stream)
     if kind.hasobject:
         raise InvalidInputError("it holds Python objects, which may run code; write plain numbers")
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
@@ -173,29 +153,36 @@ def read_array(data: bytes) -> np.ndarray:
     return np.frombuffer(data, kind, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
 
 
-# Points as the Point Cloud Library writes them: ascii, binary, or compressed by LZF.
-PCD_TYPES = {("F", 4): "f4", ("F", 8): "f8"} | {
-    (kind, size): f"{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)
-}
-EXPANSION = 300  # bytes at most that LZF makes of one
-LONGEST_LINE = 100_000  # [bytes] of a header
+def _read_npy(data: bytes) -> np.ndarray:
+    """An array (m, 3 or more), (height, width, 3 or more), or with fields x, y, z."""
+    array = read_array(data)
+    if array.dtype.names is not None:
+        names = array.dtype.names
+        return _points([Column(name, "") for name in names], lambda k: array[names[k]].reshape(-1))
+    if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
+        raise InvalidInputError(f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)")
+    return array.reshape(-1, array.shape[-1])[:, :3]
 
 
-def read_pcd(data: bytes) -> np.ndarray:
-    """Points (m, 3) of a PCD file."""
+def _read_lines(data: bytes) -> np.ndarray:
+    """Lines of numbers, the first three of which count, separated by blanks, commas or semicolons."""
+    return _numbers(data.decode("utf-8").replace(",", " ").replace(";", " "), range(3))
+
+
+def _read_pcd(data: bytes) -> np.ndarray:
+    """Points (m, 3) as the Point Cloud Library writes them: ascii, binary, or compressed by LZF."""
     header, at = _pcd_header(data)
-    columns = _pcd_columns(header)
-    count = int(header["POINTS"][0])
+    columns, count = _pcd_columns(header), int(header["POINTS"][0])
     width, height = int(header.get("WIDTH", [str(count)])[0]), int(header.get("HEIGHT", ["1"])[0])
     if count < 0 or width * height != count:
         raise InvalidInputError(f"its header says {count} points, but {width} x {height}")
     body, form = data[at:], header["DATA"][0].lower()
     if form == "ascii":
-        return as_counted(from_text(body.decode("ascii"), columns), count)
+        return _from_text(body.decode("ascii"), columns, count)
     if form == "binary":
-        if body[count * row_bytes(columns) :].strip(b"\0\n"):  # pages are filled up with zeros
+        if body[count * _row_bytes(columns) :].strip(b"\0\n"):  # pages are filled up with zeros
             raise InvalidInputError(f"its header says {count} points, but the file holds more")
-        return from_rows(body, columns, count, "<")
+        return _from_rows(body, columns, count, "<")
     if form == "binary_compressed":
         return _unpacked(body, columns, count)
     raise InvalidInputError(f"its DATA is {form!r}; known: ascii, binary, binary_compressed")
@@ -206,7 +193,7 @@ def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
     header: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in header:
-        end = data.find(b"\n", at, at + LONGEST_LINE)
+        end = data.find(b"\n", at, at + LONGEST_HEADER)
         if end < 0:
             raise InvalidInputError("its header has no line DATA: no PCD, or cut short")
         key, *words = data[at:end].decode("utf-8").split() or [""]
@@ -241,7 +228,7 @@ def _unpacked(body: bytes, columns: Sequence[Column], count: int) -> np.ndarray:
     if len(body) < 8:
         raise InvalidInputError("its compressed points are cut short")
     packed, unpacked = (int(size) for size in np.frombuffer(body, "<u4", 2))
-    row = row_bytes(columns)
+    row = _row_bytes(columns)
     if unpacked != count * row or packed > len(body) - 8 or unpacked > EXPANSION * packed:
         raise InvalidInputError(
             f"its header says {count} points of {row} bytes, its compressed part {unpacked} bytes in {packed} "
@@ -251,21 +238,11 @@ def _unpacked(body: bytes, columns: Sequence[Column], count: int) -> np.ndarray:
     if raw is None or len(raw) != unpacked:
         raise InvalidInputError("its compressed points cannot be unpacked")
     begins = count * np.cumsum([0, *(np.dtype(column.kind).itemsize for column in columns)])
-    return three(columns, lambda k: np.frombuffer(raw, f"<{columns[k].kind}", count, int(begins[k])))
+    return _points(columns, lambda k: np.frombuffer(raw, f"<{columns[k].kind}", count, int(begins[k])))
 
 
-# Points of a PLY file: its element "vertex", which must come first and hold plain numbers.
-PLY_TYPES = {
-    **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
-    **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
-    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
-}
-PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-LONGEST_HEADER = 1_000_000  # [bytes]
-
-
-def read_ply(data: bytes) -> np.ndarray:
-    """Points (m, 3) of a PLY file; elements after the vertices are not looked at."""
+def _read_ply(data: bytes) -> np.ndarray:
+    """Points (m, 3) of the element "vertex", which must come first and hold plain numbers; others are not read."""
     end = data.find(b"end_header", 0, LONGEST_HEADER)
     begin = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or begin == 0:
@@ -274,8 +251,8 @@ def read_ply(data: bytes) -> np.ndarray:
     body = data[begin:]
     if form == "ascii":
         lines = body.decode("ascii").split("\n", count)[:count] if 0 <= count <= len(body) else []
-        return as_counted(from_text("\n".join(lines), columns), count)
-    return from_rows(body, columns, count, PLY_ORDERS[form])
+        return _from_text("\n".join(lines), columns, count)
+    return _from_rows(body, columns, count, PLY_ORDERS[form])
 
 
 def _ply_vertices(lines: Sequence[Sequence[str]]) -> tuple[str, list[Column], int]:
@@ -286,7 +263,7 @@ def _ply_vertices(lines: Sequence[Sequence[str]]) -> tuple[str, list[Column], in
     elements = [k for k, line in enumerate(lines) if line[:1] == ["element"]]
     if not elements or lines[elements[0]][1:2] != ["vertex"] or len(lines[elements[0]]) != 3:
         raise InvalidInputError("its first element is not 'vertex'")
-    first, last = elements[0], elements[1] if len(elements) > 1 else len(lines)
+    first, last = (*elements, len(lines))[:2]
     columns = []
     for line in lines[first + 1 : last]:
         if line[:1] == ["property"]:
@@ -298,98 +275,87 @@ def _ply_vertices(lines: Sequence[Sequence[str]]) -> tuple[str, list[Column], in
     return form, columns, int(lines[first][2])
 
 
-class CloudRead(NamedTuple):
-    """A cloud as a file holds it."""
-
-    points: FloatArray  # (m, 3), m >= 1, all finite [m]
-    dropped: int  # points left out because a coordinate was not finite
+def _points(columns: Sequence[Column], values: Callable[[int], np.ndarray]) -> np.ndarray:
+    """The columns x, y and z as points (m, 3); values gives column k."""
+    return np.stack([values(k).astype(np.float64) for k in _places(columns)], axis=1)
 
 
-def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
-    """Read the points of a file, whose suffix says what it is (see `READERS`).
+def _places(columns: Sequence[Column]) -> list[int]:
+    """Which columns are x, y and z; each must occur once."""
+    names = [column.name for column in columns]
+    for axis in "xyz":
+        if names.count(axis) != 1:
+            raise InvalidInputError(
+                f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}"
+            )
+    return [names.index(axis) for axis in "xyz"]
 
-    Parameters
-    ----------
-    scale: [m] of one unit of the file.
 
-    Raises
-    ------
-    UnknownChoiceError: another suffix.
-    InvalidInputError: a file that cannot be read, contradicts itself, has no finite point, or is evidently not in
-        metres; names the file.
-    """
-    path = Path(path)
-    reader = READERS[kind_of(path, READERS, "cloud")]
-    data = file_bytes(path, "cloud")
-    with parsing(path, "cloud"), np.errstate(over="ignore", invalid="ignore"):
-        points = scale * reader(data).astype(np.float64)
-    finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])  # 5 times as fast as by rows
-    if not finite.any():
+def _row_bytes(columns: Sequence[Column]) -> int:
+    return sum(np.dtype(column.kind).itemsize for column in columns)
+
+
+def _from_rows(body: bytes, columns: Sequence[Column], count: int, order: str) -> np.ndarray:
+    """Points of the first `count` binary rows; order: of their bytes, "<" or ">"."""
+    size = _row_bytes(columns)
+    if count < 0 or count * size > len(body):
         raise InvalidInputError(
-            f"cloud {path}: none of its {len(points)} points is finite; give one that has some"
+            f"its header says {count} points, the file holds {len(body) // max(1, size)}: cut short?"
         )
-    check_lengths(points[finite], f"cloud {path}")
-    return CloudRead(points[finite], int(len(points) - finite.sum()))
+    kinds = np.dtype([(f"{k}", order + item.kind) for k, item in enumerate(columns)])
+    rows = np.frombuffer(body, kinds, count)
+    return _points(columns, lambda k: rows[f"{k}"])
 
 
-def _read_npy(data: bytes) -> np.ndarray:
-    """An array (m, 3 or more), (height, width, 3 or more), or with fields x, y, z."""
-    array = read_array(data)
-    if array.dtype.names is not None:
-        columns = [Column(name, array.dtype[name].str) for name in array.dtype.names]
-        return three(columns, lambda k: array[columns[k].name].reshape(-1))
-    if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
-        raise InvalidInputError(f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)")
-    return array.reshape(-1, array.shape[-1])[:, :3]
+def _from_text(text: str, columns: Sequence[Column], count: int) -> np.ndarray:
+    """Points of `count` lines of numbers."""
+    points = _numbers(text, _places(columns))
+    if len(points) != count:
+        raise InvalidInputError(f"its header says {count} points, the file holds {len(points)}")
+    return points
 
 
-def _read_xyz(data: bytes) -> np.ndarray:
-    """Lines of numbers, the first three of which count, separated by blanks, commas or semicolons."""
-    text = data.decode("utf-8").replace(",", " ").replace(";", " ")
-    return numbers_in(text, range(3))
+def _numbers(text: str, chosen: Sequence[int]) -> np.ndarray:
+    """Some columns of lines of numbers (m, k)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that there is no data, which callers say themselves
+        found = np.loadtxt(io.StringIO(text), usecols=chosen, ndmin=2, comments=("#", "//"))
+    return found.reshape(-1, len(chosen))
 
 
-READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {
-    ".npy": _read_npy,
-    ".pcd": read_pcd,
-    ".ply": read_ply,
-    ".xyz": _read_xyz,
-    ".txt": _read_xyz,
-    ".csv": _read_xyz,
-}
-"""Readers of points (m, 3) by the suffix of the file."""
-
-
-# Point clouds to files that `clouds.read_cloud` reads again: PCD and PLY (binary), NPY.
-def write_cloud(path: Path | str, points: FloatArray) -> None:
-    """Write points (m, 3) [m] in single precision, whole or not at all; the suffix says how (see `WRITERS`)."""
-    path = Path(path)
-    write = WRITERS[kind_of(path, WRITERS, "cloud")]
-    write_bytes(path, write(np.ascontiguousarray(points, dtype="<f4")))
-
-
-def _pcd(points: np.ndarray) -> bytes:
-    lines = (
-        "# .PCD v0.7 - Point Cloud Data file format",
-        "VERSION 0.7",
-        *("FIELDS x y z", "SIZE 4 4 4", "TYPE F F F", "COUNT 1 1 1"),
-        *(f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {len(points)}"),
-        "DATA binary\n",
+def _write_pcd(points: np.ndarray) -> bytes:
+    count = len(points)
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
+        f"COUNT 1 1 1\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
     )
-    return "\n".join(lines).encode() + points.tobytes()
+    return header.encode() + points.tobytes()
 
 
-def _ply(points: np.ndarray) -> bytes:
+def _write_ply(points: np.ndarray) -> bytes:
     axes = "".join(f"property float {axis}\n" for axis in "xyz")
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
     return header.encode() + points.tobytes()
 
 
-def _npy(points: np.ndarray) -> bytes:
+def _write_npy(points: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.save(stream, points)
     return stream.getvalue()
 
 
-WRITERS: Mapping[str, Callable[[np.ndarray], bytes]] = {".pcd": _pcd, ".ply": _ply, ".npy": _npy}
+READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {
+    ".npy": _read_npy,
+    ".pcd": _read_pcd,
+    ".ply": _read_ply,
+    ".xyz": _read_lines,
+    ".txt": _read_lines,
+    ".csv": _read_lines,
+}
+"""Readers of points (m, 3) by the suffix of the file."""
+WRITERS: Mapping[str, Callable[[np.ndarray], bytes]] = {
+    ".pcd": _write_pcd,
+    ".ply": _write_ply,
+    ".npy": _write_npy,
+}
 """Writers of points (m, 3) by the suffix of the file."""

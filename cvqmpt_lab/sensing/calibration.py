@@ -1,12 +1,12 @@
 """Where a depth camera stands, from the arm that it sees: no marker, only the current configuration and a rough guess.
 
 Poses around the guess are compared with a picture of depths, in which every sample of the arm's surface is confirmed,
-hidden by something nearer, or looked through. The best are sharpened by laying the measured points onto the surface
-(`laying`). What the picture says of the result decides whether it is trusted.
+hidden by something nearer, or looked through. Point-to-plane ICP refines the best. What the picture says of the result
+decides whether it is trusted.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,26 +14,38 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.sensing.icp import Surface, arm_surface, laid, small_motions
+from cvqmpt_lab.sensing.icp import Surface, arm_surface, point_to_plane_icp, small_motions
 from cvqmpt_lab.sensing.scan import Arm
 
-# A cloud as its camera saw it, in coarse pixels: which of some surface it confirms, hides, or looks through.
-PIXEL = 0.01
-"""Edge of a pixel [tangent]: a few measured points in each."""
-WIDEST = 0.2
-"""Cosine of the angle from the middle of the cloud beyond which points are left out."""
-FACING = 0.3
-"""Least cosine between a sample's normal and its ray; others lie near outlines, where a pixel shows something else."""
-OWN = 0.02
-"""[m] samples this much behind others of the same surface in their pixel are hidden by them."""
+PIXEL = 0.01  # edge of a pixel of the depth picture [tangent]: a few measured points in each
+WIDEST = 0.2  # cosine of the angle from the middle of the cloud beyond which points are left out
+FACING = 0.3  # least cosine between a sample's normal and its ray; near outlines a pixel shows something else
+OWN = 0.02  # [m] samples this much behind others of the same surface in their pixel are hidden by them
+SAMPLES = 12_000  # of the arm's surface
+COMPARED = 300  # of them with which candidates are compared
+ROUNDS = ((3000, 1.0, 0.05), (1500, 0.4, 0.03), (1500, 0.15, 0.02))
+"""Of the search: candidates, how far they are drawn as a share of how wrong the guess may be, what agrees [m]."""
+SURVIVORS = 30  # candidates around which those of the next round are drawn
+REFINED = 3  # candidates that ICP refines
+DIFFERENT = (0.03, 3.0)  # [m], [deg] between poses that are not the same one twice
+AGREEING = 0.02  # [m] between surface and picture, at the end
+GUESS_METRES, GUESS_DEGREES = 0.1, 10.0  # that the guess may be off along, and turned about, each axis
+
+# What must hold of a pose that is trusted; shares are of the arm's surface in view and not hidden.
+ENOUGH = 60  # samples of a link in view, from which on it is judged
+LEAST_CONFIRMED = 0.85  # share that must be where it should be
+LEAST_OF_LINK = 0.6  # the same of every link of which enough is in view
+LEAST_SAMPLES = 400  # samples of the surface that must be confirmed
+LARGEST_RESIDUAL = 0.005  # [m] root mean square distance of the points on the arm from its surface
+LARGEST_DEVIATION = 0.007  # [m] of the camera's position, by leaving out one link after the other
+LEAST_LEAD = 0.03  # by which the score must exceed that of any other pose
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """What a picture says of k samples of a surface that could be seen if nothing hid them."""
 
-    seen: np.ndarray
-    """(k,) bool, towards the camera, where it measured something."""
+    seen: np.ndarray  # (k,) bool, towards the camera, where it measured something
     excess: FloatArray
     """(k,) [m], measured depth over that of the sample; positive where the camera looked through it."""
 
@@ -42,10 +54,8 @@ class Agreement:
 class DepthPicture:
     """Depths of a cloud around its middle."""
 
-    turn: FloatArray
-    """(3, 3), from the camera's frame to one whose z points to the middle of the cloud."""
-    first: FloatArray
-    """(2,), corner of the picture [tangents]."""
+    turn: FloatArray  # (3, 3), from the camera's frame to one whose z points to the middle of the cloud
+    first: FloatArray  # (2,), corner of the picture [tangents]
     depth: FloatArray
     """(rows, columns) [m] along rays, median of the points in each pixel; nan where there are none."""
 
@@ -79,9 +89,7 @@ class DepthPicture:
         facing = (np.einsum("...i,...i->...", outwards, at) < -FACING * far) & (at[..., 2] > 0.0)
         pixel = np.floor((at[..., :2] / np.where(at[..., 2:] > 0.0, at[..., 2:], 1.0) - self.first) / PIXEL)
         inside = facing & ((pixel >= 0.0) & (pixel < self.depth.shape)).all(axis=-1)
-        row, column = (
-            np.where(inside[..., None], pixel, 0.0).astype(np.int64).transpose(-1, *range(at.ndim - 1))
-        )
+        row, column = np.moveaxis(np.where(inside[..., None], pixel, 0.0).astype(np.int64), -1, 0)
         measured = np.where(inside, self.depth[row, column], np.nan)
         return Agreement(inside & np.isfinite(measured), measured - far)
 
@@ -98,72 +106,23 @@ class DepthPicture:
         return far <= nearest[pixel] + OWN
 
 
-SAMPLES = 12_000
-"""Of the arm's surface."""
-COMPARED = 300
-"""Of them with which candidates are compared."""
-ROUNDS = ((3000, 1.0, 0.05), (1500, 0.4, 0.03), (1500, 0.15, 0.02))
-"""Of the search: candidates, how far they are drawn as a share of how wrong the guess may be, what agrees [m]."""
-KEPT = 30
-"""Candidates around which those of the next round are drawn."""
-SHARPENED = 3
-"""Candidates that are laid."""
-DIFFERENT = (0.03, 3.0)
-"""[m], [deg] between poses that are not the same one twice."""
-AGREEING = 0.02
-"""[m] between surface and picture, at the end."""
-ENOUGH = 60
-"""Samples of a link in view, from which on it is judged."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrationSettings:
-    """How far is searched, and what must hold of a result that is trusted."""
-
-    metres: float = 0.1
-    """The guess may be this far off, along each axis [m]."""
-    degrees: float = 10.0
-    """And turned by this much, about each axis [deg]."""
-    least_confirmed: float = 0.85
-    """Share of the arm's surface in view, and not hidden, that must be where it should be."""
-    least_of_link: float = 0.6
-    """The same of every link of which enough is in view."""
-    least_samples: int = 400
-    """Samples of the surface that must be confirmed."""
-    largest_residual: float = 0.005
-    """Root mean square distance of the points on the arm from its surface [m]."""
-    largest_doubt: float = 0.007
-    """Standard deviation of the camera's position [m], by leaving out one link after the other."""
-    least_lead: float = 0.03
-    """By which the score must exceed that of any other pose."""
-
-
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """Where a camera stands, and why that should be believed."""
 
-    T_world_camera: FloatArray
-    """(4, 4) [m]."""
-    residual: float
-    """Root mean square distance of the points on the arm from its surface [m]."""
-    confirmed: float
-    """Share of the arm's surface in view, and not hidden, that is where it should be."""
-    doubt: float
-    """Standard deviation of the camera's position [m], by leaving out one link after the other."""
-    moved_metres: float
-    """From the guess [m]."""
-    moved_degrees: float
-    """From the guess [deg]."""
-    doubts: tuple[str, ...]
-    """Why it is not trusted; empty when it is."""
+    T_world_camera: FloatArray  # (4, 4) [m]
+    residual: float  # root mean square distance of the points on the arm from its surface [m]
+    confirmed: float  # share of the arm's surface in view, and not hidden, that is where it should be
+    deviation: (
+        float  # standard deviation of the camera's position [m], by leaving out one link after the other
+    )
+    moved_metres: float  # from the guess [m]
+    moved_degrees: float  # from the guess [deg]
+    doubts: tuple[str, ...]  # why it is not trusted; empty when it is
 
 
 def calibrate(
-    points: FloatArray,
-    T_world_guess: FloatArray,
-    arm: Arm,
-    rng: np.random.Generator,
-    settings: CalibrationSettings | None = None,
+    points: FloatArray, T_world_guess: FloatArray, arm: Arm, rng: np.random.Generator
 ) -> Calibration:
     """Find the pose of the camera that saw points (m, 3) [m, camera frame, camera at the origin].
 
@@ -175,53 +134,38 @@ def calibrate(
         raise InvalidInputError(
             "a camera that saw nothing cannot be calibrated; give the cloud as it was taken"
         )
-    settings = settings or CalibrationSettings()
     surface = arm_surface(arm, SAMPLES, rng)
     picture = DepthPicture.of(points)
-    starts = _search(picture, surface, T_world_guess, settings, rng)
-    fits = [laid(points, surface, T_world_camera, rng) for T_world_camera in starts]
-    views = [_look(picture, surface, fit.T_world_camera) for fit in fits]
+    starts = _search(picture, surface, T_world_guess, rng)
+    fits = [point_to_plane_icp(points, surface, T_world_camera, rng) for T_world_camera in starts]
+    views = [_view(picture, surface, fit.T_world_camera) for fit in fits]
     best = int(np.argmax([view.score for view in views]))
-    rivals = [
-        view.score
-        for fit, view in zip(fits, views, strict=True)
-        if _differ(fit.T_world_camera, fits[best].T_world_camera)
-    ]
-    moved = np.linalg.inv(T_world_guess) @ fits[best].T_world_camera
-    found = Calibration(
-        fits[best].T_world_camera,
-        fits[best].residual,
-        views[best].share,
-        fits[best].doubt,
-        float(np.linalg.norm(moved[:3, 3])),
-        _degrees(moved),
-        (),
-    )
-    doubts = _doubts(found, views[best], max(rivals, default=-1.0), surface, arm, settings)
-    return Calibration(**{**vars(found), "doubts": tuple(doubts)})
+    T, residual, deviation = fits[best]
+    rivals = [view.score for fit, view in zip(fits, views, strict=True) if _differ(fit.T_world_camera, T)]
+    moved = np.linalg.inv(T_world_guess) @ T
+    distance = float(np.linalg.norm(moved[:3, 3]))
+    found = Calibration(T, residual, views[best].share, deviation, distance, _degrees(moved), ())
+    doubts = _doubts(found, views[best], max(rivals, default=-1.0), surface, arm)
+    return replace(found, doubts=tuple(doubts))
 
 
 def _search(
-    picture: DepthPicture,
-    surface: Surface,
-    T_world_guess: FloatArray,
-    settings: CalibrationSettings,
-    rng: np.random.Generator,
+    picture: DepthPicture, surface: Surface, T_world_guess: FloatArray, rng: np.random.Generator
 ) -> list[FloatArray]:
     """The few different poses of the camera around the guess in which the picture agrees best with the surface."""
     few = surface[rng.permutation(len(surface.points))[:COMPARED]]
-    reach = np.repeat([np.radians(settings.degrees), settings.metres], 3)
-    kept = T_world_guess[None]
+    reach = np.repeat([np.radians(GUESS_DEGREES), GUESS_METRES], 3)
+    best = T_world_guess[None]
     for count, share, tolerance in ROUNDS:
         motions = small_motions(share * reach * rng.uniform(-1.0, 1.0, (count, 6)))
-        poses = np.concatenate([kept, kept[rng.integers(len(kept), size=count)] @ motions])
+        poses = np.concatenate([best, best[rng.integers(len(best), size=count)] @ motions])
         score = _score(picture.compare(few, np.linalg.inv(poses)), tolerance)
-        kept = poses[np.argsort(-score)[:KEPT]]
+        best = poses[np.argsort(-score)[:SURVIVORS]]
     chosen: list[FloatArray] = []
-    for T in kept:
+    for T in best:
         if all(_differ(T, other) for other in chosen):
             chosen.append(T)
-    return chosen[:SHARPENED]
+    return chosen[:REFINED]
 
 
 def _score(agreement: Agreement, tolerance: float) -> FloatArray:
@@ -234,12 +178,9 @@ def _score(agreement: Agreement, tolerance: float) -> FloatArray:
 class _View(NamedTuple):
     """How picture and surface agree at a pose."""
 
-    confirmed: np.ndarray
-    """(s,) bool, samples that are where they should be."""
-    through: np.ndarray
-    """(s,) bool, samples that the camera looked through."""
-    score: float
-    """See `_score`."""
+    confirmed: np.ndarray  # (s,) bool, samples that are where they should be
+    through: np.ndarray  # (s,) bool, samples that the camera looked through
+    score: float  # see `_score`
 
     @property
     def share(self) -> float:
@@ -247,7 +188,7 @@ class _View(NamedTuple):
         return float(self.confirmed.sum() / max(1, self.confirmed.sum() + self.through.sum()))
 
 
-def _look(picture: DepthPicture, surface: Surface, T_world_camera: FloatArray) -> _View:
+def _view(picture: DepthPicture, surface: Surface, T_world_camera: FloatArray) -> _View:
     T_camera_world = np.linalg.inv(T_world_camera)
     agreement = picture.compare(surface, T_camera_world)
     seen = agreement.seen & picture.in_front(surface, T_camera_world)
@@ -256,30 +197,28 @@ def _look(picture: DepthPicture, surface: Surface, T_world_camera: FloatArray) -
     return _View(np.abs(excess) <= AGREEING, excess > AGREEING, score)
 
 
-def _doubts(
-    found: Calibration, view: _View, rival: float, surface: Surface, arm: Arm, settings: CalibrationSettings
-) -> Iterator[str]:
+def _doubts(found: Calibration, view: _View, rival: float, surface: Surface, arm: Arm) -> Iterator[str]:
     """What speaks against a pose."""
     count = int(view.confirmed.sum())
-    if count < settings.least_samples:
+    if count < LEAST_SAMPLES:
         yield f"the camera sees too little of the arm: {count} of {len(surface.points)} samples of its surface"
         return
-    if found.confirmed < settings.least_confirmed:
+    if found.confirmed < LEAST_CONFIRMED:
         yield (
             f"only {100 * found.confirmed:.0f} % of the arm's surface is where the configuration says; was it this one?"
         )
     names = {part.link: part.name for part in reversed(arm.robot.links)}
     for link in np.unique(surface.link):
         yes, no = (int(mask[surface.link == link].sum()) for mask in (view.confirmed, view.through))
-        if yes + no >= ENOUGH and yes < settings.least_of_link * (yes + no):
+        if yes + no >= ENOUGH and yes < LEAST_OF_LINK * (yes + no):
             yield f"{names[link]} is not where the configuration says"
-    if found.residual > settings.largest_residual:
+    if found.residual > LARGEST_RESIDUAL:
         yield f"points on the arm lie {1e3 * found.residual:.1f} mm from its surface"
-    if found.doubt > settings.largest_doubt:
-        yield f"what is in view of the arm leaves {1e3 * found.doubt:.0f} mm open"
-    if view.score - rival < settings.least_lead:
+    if found.deviation > LARGEST_DEVIATION:
+        yield f"what is in view of the arm leaves {1e3 * found.deviation:.0f} mm open"
+    if view.score - rival < LEAST_LEAD:
         yield "another pose fits as well"
-    limits = 1.5 * np.sqrt(3.0) * np.array([settings.metres, settings.degrees])
+    limits = 1.5 * np.sqrt(3.0) * np.array([GUESS_METRES, GUESS_DEGREES])
     if found.moved_metres > limits[0] or found.moved_degrees > limits[1]:
         yield f"it is {found.moved_metres:.2f} m and {found.moved_degrees:.0f} deg from the guess"
 

@@ -1,4 +1,4 @@
-"""What of a measured cloud is no obstacle: the robot itself, and points that stand alone."""
+"""Filters of measured clouds: crops, voxel means, the robot's own points, outliers."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,6 +10,9 @@ from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
+
+DENSE = 8  # grids of at most this many cells a point are counted cell by cell, which needs no sorting
+MOST_CELLS = 2**62
 
 
 @dataclass(frozen=True)
@@ -40,14 +43,10 @@ class BallCrop:
 class _Piece(NamedTuple):
     """A convex piece of a robot, as half spaces of its link's frame."""
 
-    link: int
-    """Pose row that carries it."""
-    middle: FloatArray
-    """(3,) of a ball around it [m]."""
-    radius: float
-    """Of that ball [m]."""
-    faces: FloatArray
-    """(f, 4), each outward normal and offset: a point x is inside when normal @ x + offset <= 0 for all."""
+    link: int  # pose row that carries it
+    middle: FloatArray  # (3,) of a ball around it [m]
+    radius: float  # of that ball [m]
+    faces: FloatArray  # (f, 4), outward normal n and offset d: x is inside when n x + d <= 0 for all
 
 
 def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -> np.ndarray:
@@ -66,7 +65,7 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
     return near
 
 
-def lonely(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
+def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
     """Which of points (m, 3) have fewer than `neighbours` others within radius [m]: a mask (m,)."""
     from scipy.spatial import cKDTree  # a third of a second to import
 
@@ -87,12 +86,6 @@ def _piece(part: LinkGeometry) -> _Piece:
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     radius = float(np.linalg.norm(vertices - middle, axis=1).max())
     return _Piece(part.link, middle, radius, ConvexHull(vertices).equations)
-
-
-# Voxel down-sampling: the mean of the points in each cell of a grid.
-DENSE = 8
-"""Grids of at most this many cells a point are counted cell by cell, which needs no sorting."""
-MOST_CELLS = 2**62
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:

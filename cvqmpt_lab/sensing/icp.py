@@ -1,4 +1,9 @@
-"""The outer surface of an arm as samples: what a depth camera can see of it, and from where."""
+"""Point-to-plane ICP of measured points onto the surface of an arm, and that surface as samples with normals.
+
+Minimised over a small motion of the camera and a systematic error o of its depths is
+sum_i w_i (n_i . (T p_i + o a_i - s_i))^2 + a prior on o, for points p_i, rays a_i, and the nearest surface sample s_i
+with normal n_i; weights w_i = (1 - (d_i / reach)^2)^2 (Tukey) leave out points that are no part of the surface.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,20 +18,24 @@ from cvqmpt_lab.robot.robot import LinkGeometry
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 
-BURIED = -1e-3
-"""[m] samples deeper inside another piece of the arm are not part of its outer surface."""
+BURIED = -1e-3  # [m] samples deeper inside another piece of the arm are not part of its outer surface
+REACHES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006)  # [m] points farther from the surface are left out, in turn
+STEPS = 5  # Gauss-Newton steps with each
+INLIERS = 0.02  # [m] points no farther from the surface in the end lie on it
+MOST_POINTS = 100_000  # considered; of those near the surface a tenth is used
+OFFSET = 0.004  # [m] standard deviation of a camera's systematic error of depth
+NOISE = 0.003  # [m] standard deviation of what points otherwise are off
+INDEPENDENT = 1000  # as many of their errors are taken as independent
+STIFF = 1e-6  # keeps equations solvable
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Samples of a surface, spread evenly over its area."""
 
-    points: FloatArray
-    """(s, 3) [m, robot base frame]."""
-    normals: FloatArray
-    """(s, 3), outwards, unit."""
-    link: np.ndarray
-    """(s,) int, pose row of the link that each is on; 0 is the world."""
+    points: FloatArray  # (s, 3) [m, robot base frame]
+    normals: FloatArray  # (s, 3), outwards, unit
+    link: np.ndarray  # (s,) int, pose row of the link that each is on; 0 is the world
 
     def __getitem__(self, rows: np.ndarray) -> "Surface":
         return Surface(self.points[rows], self.normals[rows], self.link[rows])
@@ -59,49 +68,30 @@ def _triangles(part: LinkGeometry) -> tuple[FloatArray, FloatArray]:
     return hull.points[hull.simplices], hull.equations[:, :3]
 
 
-# Laying measured points onto a surface: point to plane, with weights that forget what is no part of it.
-REACHES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006)
-"""[m] points farther from the surface are forgotten, in turn."""
-STEPS = 5
-"""Gauss-Newton steps with each."""
-INLIERS = 0.02
-"""[m] points no farther from the surface in the end lie on it."""
-MOST_POINTS = 100_000
-"""Looked at; of those near the surface a tenth is laid."""
-OFFSET, NOISE = 0.004, 0.003
-"""[m] standard deviations of a camera's systematic error of depth, and of what points otherwise are off, ..."""
-INDEPENDENT = 1000
-"""... as many of them as if they were all that there are."""
-STIFF = 1e-6
-"""Keeps equations solvable."""
-
-
-class Laid(NamedTuple):
+class IcpResult(NamedTuple):
     """A camera's pose at which its points lie on the surface."""
 
-    T_world_camera: FloatArray
-    """(4, 4) [m]."""
-    residual: float
-    """Root mean square distance of the points on the surface from it [m]; inf without any."""
-    doubt: float
-    """Standard deviation of the camera's position [m], by leaving out one link after the other."""
+    T_world_camera: FloatArray  # (4, 4) [m]
+    residual: float  # root mean square distance of the points on the surface from it [m]; inf without any
+    deviation: (
+        float  # standard deviation of the camera's position [m], by leaving out one link after the other
+    )
 
 
 class _Planes(NamedTuple):
     """Points that are near the surface, and the planes that it has there."""
 
-    distance: FloatArray
-    """(k,), of each point from its plane [m]."""
+    distance: FloatArray  # (k,), of each point from its plane [m]
     rows: FloatArray
     """(k, 7), its change when points turn about their middle [rad], shift [m], and move away from the camera [m]."""
-    middle: FloatArray
-    """(3,) [m]."""
-    link: np.ndarray
-    """(k,) int, of the surface under each."""
+    middle: FloatArray  # (3,) [m]
+    link: np.ndarray  # (k,) int, of the surface under each
 
 
-def laid(points: FloatArray, surface: Surface, T_start: FloatArray, rng: np.random.Generator) -> Laid:
-    """Lay points (m, 3) [m, camera frame] onto the surface [world], from a pose (4, 4) that is nearly right."""
+def point_to_plane_icp(
+    points: FloatArray, surface: Surface, T_start: FloatArray, rng: np.random.Generator
+) -> IcpResult:
+    """Align points (m, 3) [m, camera frame] with the surface [world], from a pose (4, 4) that is nearly right."""
     tree, T, offset = cKDTree(surface.points), T_start, 0.0
     some = points[rng.permutation(len(points))[:MOST_POINTS]]
     placed = some @ T[:3, :3].T + T[:3, 3]
@@ -110,7 +100,7 @@ def laid(points: FloatArray, surface: Surface, T_start: FloatArray, rng: np.rand
     for reach in np.repeat(REACHES, STEPS):
         planes = _planes(some, offset, surface, tree, T, reach)
         if len(planes.distance) < 7:
-            return Laid(T, np.inf, np.inf)
+            return IcpResult(T, np.inf, np.inf)
         H, g = _equations(planes, np.square(1.0 - np.square(planes.distance / reach)), offset)
         step = -np.linalg.solve(H, g)
         motion = small_motions(step[None, :6])[0]
@@ -119,7 +109,7 @@ def laid(points: FloatArray, surface: Surface, T_start: FloatArray, rng: np.rand
     planes = _planes(some, offset, surface, tree, T, INLIERS)
     weight = np.square(1.0 - np.square(planes.distance / INLIERS))
     residual = float(np.sqrt(np.mean(np.square(planes.distance))))
-    return Laid(T, residual, _doubt(planes, weight, offset, T[:3, 3] - planes.middle))
+    return IcpResult(T, residual, _deviation(planes, weight, offset, T[:3, 3] - planes.middle))
 
 
 def _equations(planes: _Planes, weight: FloatArray, offset: float) -> tuple[FloatArray, FloatArray]:
@@ -132,7 +122,7 @@ def _equations(planes: _Planes, weight: FloatArray, offset: float) -> tuple[Floa
     return H, g
 
 
-def _doubt(planes: _Planes, weight: FloatArray, offset: float, to_camera: FloatArray) -> float:
+def _deviation(planes: _Planes, weight: FloatArray, offset: float, to_camera: FloatArray) -> float:
     """Standard deviation [m] of the camera's position, by the jackknife over links."""
     links = np.unique(planes.link)
     if len(links) < 2:

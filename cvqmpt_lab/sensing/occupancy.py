@@ -1,4 +1,4 @@
-"""An occupancy map from measured points: cells that hold some, and, if asked to, cells that nobody looked into."""
+"""An occupancy map from measured points: cells that hold some, and, if asked to, cells that no ray crossed."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,26 +14,21 @@ from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 
-MOST_CELLS = 1 << 27
-"""Of the box in which unknown cells are looked for; one byte each."""
+MOST_CELLS = 1 << 27  # of the box in which unknown cells are looked for; one byte each
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapSettings:
     """How a map is made."""
 
-    resolution: float = 0.02
-    """Edge of its cells [m]."""
-    padding: float = 0.0
-    """Distance by which cells are swelled [m]."""
+    resolution: float = 0.02  # edge of its cells [m]
+    padding: float = 0.0  # distance by which cells are inflated [m]
     unknown: Literal["free", "occupied"] = "free"
     """What cells are that no ray crossed, inside the box below; `free` is what MoveIt plans with."""
     lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
     """Corner of the box in which cells can be unknown [m, robot base frame]."""
-    upper: tuple[float, float, float] = (1.2, 1.2, 1.4)
-    """Opposite corner [m]."""
-    robot_margin: float = 0.05
-    """Cells this near to the robot are no unknown ones [m]."""
+    upper: tuple[float, float, float] = (1.2, 1.2, 1.4)  # opposite corner [m]
+    robot_margin: float = 0.05  # cells this near to the robot are no unknown ones [m]
 
     def __post_init__(self) -> None:
         if not np.all(np.subtract(self.upper, self.lower) >= self.resolution):
@@ -46,13 +41,10 @@ class MapSettings:
 def occupancy_map(
     points: FloatArray, settings: MapSettings, captures: Sequence[Capture] = (), arm: Arm | None = None
 ) -> OccupancyMap:
-    """Map of the cells that hold points (m, 3) [m, robot base frame], and of those unknown if they count.
+    """Map of the cells that hold points (m, 3) [m, robot base frame] of a scan, and of unknown cells if they count.
 
-    Parameters
-    ----------
-    points: what is left of a scan after filters.
     captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its points are known.
-    arm: the robot while they looked; it stands in known space.
+    arm: the robot meanwhile; it stands in known space.
 
     Raises
     ------
@@ -78,24 +70,22 @@ def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None
         )
     known = np.zeros(across, dtype=bool)
     for capture in captures:
-        T = capture.T_world_camera
-        ends = (capture.points @ T[:3, :3].T + T[:3, 3]) / settings.resolution - first
+        origin = capture.T_world_camera[:3, 3] / settings.resolution - first
+        ends = capture.in_world / settings.resolution - first
         least = np.floor(ends.min(axis=0, initial=0.0)).astype(np.int64)
         ends = (
             distinct(np.floor(ends).astype(np.int64) - least) + least + 0.5
         )  # one ray to each cell is enough
-        for crossed in _crossed(T[:3, 3] / settings.resolution - first, ends, across):
+        for crossed in _crossed(origin, ends, across):
             known[tuple(crossed.T)] = True
     places = (np.argwhere(~known) + first + 0.5) * settings.resolution
-    if arm is None:
-        return places
-    return places[~near_robot(places, arm.robot, arm.q, settings.robot_margin)]
+    return places if arm is None else places[~near_robot(places, *arm, settings.robot_margin)]
 
 
 def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterator[np.ndarray]:
     """Cells (k, 3), of a grid of unit cells, that segments from origin (3,) to ends (r, 3) cross, a step at a time.
 
-    All segments walk from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal algorithm", 1987).
+    All segments go from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal algorithm", 1987).
     """
     way = ends - origin
     way[way == 0.0] = 1e-12
@@ -106,9 +96,7 @@ def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterat
     way, enter, leave = way[through], enter[through], leave[through]
     cell = np.clip(np.floor(origin + enter[:, None] * way).astype(np.int64), 0, across - 1)
     step = np.where(way > 0.0, 1, -1)
-    border = (
-        cell + (step > 0) - origin
-    ) / way  # share of the way at which the next cell begins, along each axis
+    border = (cell + (step > 0) - origin) / way  # share of the way at which the next cell begins
     while len(cell):
         yield cell
         rows, axis = np.arange(len(cell)), border.argmin(axis=1)

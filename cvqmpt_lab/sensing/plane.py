@@ -1,6 +1,6 @@
 """The plane that things stand on, and how a scan is put level by it when nobody knows where the camera was."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,54 +9,35 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 
-TOLERANCE = 0.01
-"""[m] to both sides of a plane that count as on it: table tops bend, and cameras err by millimetres."""
-TRIPLES = 1000
-"""Planes tried; one in a hundred lies on a table that is a fifth of the cloud."""
-JUDGES = 3000
-"""Points that choose among them."""
-FITTED = 50_000
-"""Points, at most, that the chosen one is fitted to."""
-ROUNDS = 3
-GAP = 0.05
-"""[m] between points of one table."""
-LEAST = 0.1
-"""Share of the points that a supporting plane must hold."""
-FEWEST = 30
-"""Points that a supporting plane must hold."""
-CAMERA_UP = np.array([0.0, -1.0, 0.0])
-"""Of an optical frame: x right, y down, z ahead."""
+TOLERANCE = (
+    0.01  # [m] to both sides of a plane that count as on it: table tops bend, and cameras err by millimetres
+)
+TRIPLES = 1000  # planes tried; one in a hundred lies on a table that is a fifth of the cloud
+JUDGES = 3000  # points that choose among them
+FITTED = 50_000  # points, at most, that the chosen one is fitted to
+ROUNDS = 3  # of least squares
+GAP = 0.05  # [m] between points of one table
+LEAST = 0.1  # share of the points that a supporting plane must hold
+FEWEST = 30  # points that a supporting plane must hold
+CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
 CAMERA_AHEAD = np.array([0.0, 0.0, 1.0])
-STRAIGHT = np.cos(np.radians(11.0))
-"""Of the angle between a table's normal and the camera's axis: nearer, "ahead" is the upper side of the image."""
-CAMERA_TILT = np.radians(100.0)
-"""Largest angle between a table's normal and the camera's up: a camera may look straight down, or a little beyond."""
-WORLD_TILT = np.radians(15.0)
-"""The same for the world's up, when the camera's pose is known."""
-EDGE = 0.02
-"""Quantile of the table's points that counts as its edge: beyond it lies what the camera half saw."""
+STRAIGHT = np.cos(
+    np.radians(11.0)
+)  # table's normal nearer to the camera's axis: "ahead" is the image's upper side
+CAMERA_TILT = np.radians(
+    100.0
+)  # from a table's normal to the camera's up: it may look straight down, or beyond
+WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
+EDGE = 0.02  # quantile of the table's points that counts as its edge: beyond it lies what the camera half saw
 
 
-@dataclass(frozen=True, eq=False)
-class SupportingPlane:
-    """A plane in a cloud."""
+class SupportingPlane(NamedTuple):
+    """The points x of a cloud with normal x = offset."""
 
-    normal: FloatArray
-    """(3,), of length 1, towards where things stand."""
-    offset: float
-    """Of the plane along the normal [m]."""
-    share: float
-    """Of the cloud's points on it."""
-    residual: float
-    """Root mean square distance of those from it [m]."""
-
-    def heights(self, points: FloatArray) -> FloatArray:
-        """Of points (m, 3) above the plane (m,) [m]."""
-        return points @ self.normal - self.offset
-
-    def holds(self, points: FloatArray) -> np.ndarray:
-        """Which of points (m, 3) lie on it: a mask (m,)."""
-        return np.abs(self.heights(points)) <= TOLERANCE
+    normal: FloatArray  # (3,), of length 1, towards where things stand
+    offset: float  # [m]
+    share: float  # of the cloud's points on it
+    residual: float  # root mean square distance of those from it [m]
 
 
 def supporting_plane(
@@ -71,7 +52,7 @@ def supporting_plane(
     InvalidInputError: no such plane holds `LEAST` of the points.
     """
     some = points[rng.integers(len(points), size=min(len(points), FITTED))]
-    normal, offset = _proposed(some, up, tilt, rng)
+    normal, offset = _ransac(some, up, tilt, rng)
     for _ in range(ROUNDS):
         held = some[np.abs(some @ normal - offset) <= TOLERANCE]
         if len(held) < 3:
@@ -91,7 +72,7 @@ def supporting_plane(
     return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
 
 
-def _proposed(
+def _ransac(
     points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
 ) -> tuple[FloatArray, float]:
     """Normal (3,) and offset [m] of the best of many planes through three points."""
@@ -128,7 +109,7 @@ def level_pose(points: FloatArray, plane: SupportingPlane, front: tuple[float, f
 
 def on_table(points: FloatArray, plane: SupportingPlane, gap: float = GAP) -> np.ndarray:
     """Which of points (m, 3) [m] lie on the largest patch of the plane without wider gaps [m]: a mask (m,)."""
-    held = plane.holds(points)
+    held = np.abs(points @ plane.normal - plane.offset) <= TOLERANCE
     across = points[held] @ _axes(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])[:2].T
     cells = np.floor((across - across.min(axis=0)) / gap).astype(int)
     taken = np.zeros(cells.max(axis=0) + 1, dtype=bool)

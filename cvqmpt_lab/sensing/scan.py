@@ -1,6 +1,6 @@
 """A scan: what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -14,7 +14,7 @@ from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.depth import Capture
-from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, lonely, near_robot, voxel_means
+from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, near_robot, outliers, voxel_means
 from cvqmpt_lab.sensing.plane import (
     CAMERA_TILT,
     CAMERA_UP,
@@ -27,18 +27,15 @@ from cvqmpt_lab.sensing.plane import (
     supporting_plane,
 )
 
-NEIGHBOURHOOD = 3.0
-"""Voxels around a point in which its neighbours are counted."""
-RESOLUTION = 0.02
-"""Edge of a map's cells [m]."""
+NEIGHBOURHOOD = 3.0  # voxels around a point in which its neighbours are counted
+RESOLUTION = 0.02  # edge of a map's cells [m]
 
 
 class Arm(NamedTuple):
     """The robot while the scan was taken."""
 
     robot: Robot
-    q: FloatArray
-    """(n,) [rad or m]."""
+    q: FloatArray  # (n,) [rad or m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,14 +46,10 @@ class ScanSettings:
     """Put the table level, because nobody knows where the camera was; needs a single capture."""
     front: tuple[float, float, float] = (0.3, 0.0, 0.0)
     """Where `level` puts the middle of the table's near edge [m]."""
-    crop: BoxCrop | BallCrop | None = None
-    """What is kept [m, robot base frame]; None for all."""
-    voxel: float = 0.01
-    """Edge of the grid in whose cells points are averaged [m]."""
-    robot_margin: float = 0.05
-    """Points this near to the robot are taken for the robot [m]."""
-    neighbours: int = 2
-    """Points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all."""
+    crop: BoxCrop | BallCrop | None = None  # what is kept [m, robot base frame]; None for all
+    voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
+    robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
+    neighbours: int = 2  # points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all
     plane: Literal["keep", "box", "remove"] = "keep"
     """What becomes of the points of the supporting plane: nothing, a box instead of them, or gone."""
 
@@ -73,39 +66,29 @@ class Step(NamedTuple):
     """What one filter did."""
 
     name: str
-    before: int
-    """Points before it."""
-    after: int
-    """Points after it."""
+    before: int  # points before it
+    after: int  # points after it
 
 
 class Levelled(NamedTuple):
     """How a scan was put level."""
 
-    T_world_camera: FloatArray
-    """(4, 4), where the camera therefore stands [m]."""
-    plane: SupportingPlane
-    """What it was levelled by, in the camera's frame."""
+    T_world_camera: FloatArray  # (4, 4), where the camera therefore stands [m]
+    plane: SupportingPlane  # what it was levelled by, in the camera's frame
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
     """A cleaned scan."""
 
-    points: FloatArray
-    """(m, 3) [m, robot base frame]."""
-    unseen: int
-    """Pixels or rows that held no point."""
-    steps: tuple[Step, ...]
-    """What each filter did, in order."""
-    captures: tuple[Capture, ...] = ()
-    """What it was made of, at the poses that were used."""
-    levelled: Levelled | None = None
-    """None unless asked for."""
+    points: FloatArray  # (m, 3) [m, robot base frame]
+    unseen: int  # pixels or rows that held no point
+    steps: tuple[Step, ...]  # what each filter did, in order
+    captures: tuple[Capture, ...] = ()  # what it was made of, at the poses that were used
+    levelled: Levelled | None = None  # none unless asked for
     plane: SupportingPlane | None = None
     """The supporting plane, where one was looked for, in the robot's base frame."""
-    table: SceneObject | None = None
-    """The box that stands for it."""
+    table: SceneObject | None = None  # the box that stands for it
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:
         """The scan as obstacles, and the table's box.
@@ -122,7 +105,7 @@ class Scan:
 def scan(
     captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator, arm: Arm | None = None
 ) -> Scan:
-    """Merge captures, level them if asked to, and clean them by `FILTERS`.
+    """Merge captures, level them if asked to, and clean them by crop, voxels, robot and outliers.
 
     arm: the robot while the scan was taken; its points go.
 
@@ -135,12 +118,15 @@ def scan(
         captures = [replace(captures[0], T_world_camera=levelled.T_world_camera)]
     points = np.concatenate([capture.in_world for capture in captures])
     steps = []
-    for name, keep in FILTERS.items():
-        left = keep(points, settings, arm)
+    for name, keep in _filters(settings, arm):
+        left = keep(points)
         if len(left) == 0:
-            raise InvalidInputError(f"nothing of the scan is left after {name}: {_bounds(points)}")
-        if left is not points:
-            steps.append(Step(name, len(points), len(left)))
+            low, high = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
+            raise InvalidInputError(
+                f"nothing of the scan is left after {name}: before, its {len(points)} points lay between "
+                f"{low} and {high} [m]"
+            )
+        steps.append(Step(name, len(points), len(left)))
         points = left
     plane = table = None
     if settings.plane != "keep":
@@ -165,7 +151,7 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
 
 
 def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
-    """Level the only capture by the table that it shows."""
+    """By the table that the only capture shows."""
     if len(captures) != 1:
         raise InvalidInputError(
             f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"
@@ -175,34 +161,15 @@ def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.G
     return Levelled(level_pose(points, plane, settings.front), plane)
 
 
-def _crop(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
-    return points if settings.crop is None else points[settings.crop.contains(points)]
-
-
-def _voxels(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
-    return voxel_means(points, settings.voxel)
-
-
-def _robot(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
-    return points if arm is None else points[~near_robot(points, arm.robot, arm.q, settings.robot_margin)]
-
-
-def _outliers(points: FloatArray, settings: ScanSettings, arm: Arm | None) -> FloatArray:
-    if settings.neighbours == 0:
-        return points
-    return points[~lonely(points, NEIGHBOURHOOD * settings.voxel, settings.neighbours)]
-
-
-FILTERS: Mapping[str, Callable[[FloatArray, ScanSettings, Arm | None], FloatArray]] = {
-    "crop": _crop,
-    "voxels": _voxels,
-    "robot": _robot,
-    "outliers": _outliers,
-}
-"""What is done to the points (m, 3), in order; a filter that has nothing to do returns what it was given."""
-
-
-def _bounds(points: FloatArray) -> str:
-    """Where points (m, 3) are."""
-    low, high = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
-    return f"before, its {len(points)} points lay between {low} and {high} [m]"
+def _filters(
+    settings: ScanSettings, arm: Arm | None
+) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
+    """What is done to points (m, 3) [m], by name, in order."""
+    crop, reach = settings.crop, NEIGHBOURHOOD * settings.voxel
+    if crop is not None:
+        yield "crop", lambda points: points[crop.contains(points)]
+    yield "voxels", lambda points: voxel_means(points, settings.voxel)
+    if arm is not None:
+        yield "robot", lambda points: points[~near_robot(points, *arm, settings.robot_margin)]
+    if settings.neighbours > 0:
+        yield "outliers", lambda points: points[~outliers(points, reach, settings.neighbours)]

@@ -33,7 +33,7 @@ from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.sensing.calibration import Calibration, calibrate
 from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view
-from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, lonely, near_robot
+from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, near_robot, outliers
 from cvqmpt_lab.sensing.icp import small_motions
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.plane import CAMERA_TILT, CAMERA_UP, supporting_plane
@@ -173,7 +173,7 @@ def bench_scan() -> Iterator[Measurement]:
             "depth image 640 x 576: read, points": lambda: read_capture(*files),
             "supporting plane of it": lambda: supporting_plane(capture.points, CAMERA_UP, CAMERA_TILT, rng),
             "points on the arm": lambda: near_robot(seen, robot, START, 0.05),
-            "points without neighbours": lambda: lonely(seen, 0.03, 2),
+            "points without neighbours": lambda: outliers(seen, 0.03, 2),
             "map of 2 cm": lambda: scan([capture], ScanSettings(neighbours=0), rng).scene(),
             "from the image to a certified path, everything counted": planned,
         }.items():

@@ -10,7 +10,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.sensing.calibration import calibrate
 from cvqmpt_lab.sensing.filters import near_robot
-from cvqmpt_lab.sensing.icp import arm_surface, laid, small_motions
+from cvqmpt_lab.sensing.icp import arm_surface, point_to_plane_icp, small_motions
 from cvqmpt_lab.sensing.scan import Arm
 from experiments.bench.perception import PROMISED, arm_scan, pose_error
 
@@ -32,7 +32,7 @@ def test_samples_lie_on_the_outside_of_the_arm(panda):
     assert set(surface.link) == {part.link for part in panda.links}
 
 
-def test_points_of_the_surface_are_laid_onto_it(panda):
+def test_points_of_the_surface_are_aligned_with_it(panda):
     """Without noise the pose is exact."""
     rng = np.random.default_rng(1)
     surface = arm_surface(Arm(panda, HOME), 20_000, rng)
@@ -40,7 +40,7 @@ def test_points_of_the_surface_are_laid_onto_it(panda):
     ahead = np.einsum("si,si->s", surface.normals, T[:3, 3] - surface.points) > 0.0
     points = (surface.points[ahead] - T[:3, 3]) @ T[:3, :3]
     start = T @ small_motions(np.array([[0.02, -0.01, 0.02, 0.01, 0.01, -0.02]]))[0]
-    found = laid(points, surface, start, rng)
+    found = point_to_plane_icp(points, surface, start, rng)
     assert np.abs(found.T_world_camera - T).max() < 1e-5 and found.residual < 1e-5
 
 

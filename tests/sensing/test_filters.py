@@ -1,4 +1,4 @@
-"""Filters take away the robot and lonely points, and nothing else."""
+"""Filters take away the robot and outliers points, and nothing else."""
 
 import coal
 import numpy as np
@@ -11,7 +11,7 @@ from cvqmpt_lab.robot.loading import panda, robot_from_source
 from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud
-from cvqmpt_lab.sensing.filters import lonely, near_robot, voxel_means
+from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
 
 MARGIN = 0.03
 
@@ -51,12 +51,12 @@ def test_what_is_left_does_not_touch_the_robot():
     assert not CollisionChecker(robot, scene).in_collision(q)
 
 
-def test_lonely_points_are_those_with_few_neighbours():
+def test_outliers_are_those_with_few_neighbours():
     points = np.random.default_rng(2).uniform(0, 1, (400, 3))
     counts = (np.linalg.norm(points[:, None] - points, axis=2) <= 0.1).sum(axis=1) - 1
-    np.testing.assert_array_equal(lonely(points, 0.1, 2), counts < 2)
+    np.testing.assert_array_equal(outliers(points, 0.1, 2), counts < 2)
     assert 0 < (counts < 2).sum() < len(points)
-    assert lonely(points[:2], 1.0, 2).all(), "fewer points than neighbours asked for"
+    assert outliers(points[:2], 1.0, 2).all(), "fewer points than neighbours asked for"
 
 
 # Voxel means, against cells filled one point at a time.
