@@ -14,7 +14,7 @@ from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import Part, parts
 from experiments.figures.run_figure import FigureRequest, reproduce_figure
 from experiments.run import default_jobs, executor_for, run_experiment
-from paper_tables.render import render_directory
+from paper_tables.suite_tables import render_directory
 
 OUT = Path("runs/all")
 HISTOGRAM = ("histogram", 7)

@@ -13,8 +13,8 @@ from paper_tables.judging import NOTHING, Verdict, judged, less, ruling
 from paper_tables.measures import REFERENCE, Rows
 from paper_tables.multi_sequence_table import task_rows
 from paper_tables.paper_numbers import read_published
-from paper_tables.render import table_of
 from paper_tables.statements import Statement
+from paper_tables.suite_tables import table_of
 
 HISTOGRAM_VALUES = "values.csv"
 OMPL = "ompl-projected"

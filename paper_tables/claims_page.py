@@ -14,7 +14,7 @@ from paper_tables.judging import NOTHING, Verdict, less, statement_lines
 from paper_tables.measures import VALUES, fraction, paired_ratio, solved
 from paper_tables.paper_numbers import PUBLISHED, read_published
 from paper_tables.statements import ALGORITHM_2
-from paper_tables.table import by_planner
+from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, estimate, markdown_table
 
 PAGE = PUBLISHED.parent / "README.md"

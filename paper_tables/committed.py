@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from paper_tables.paper_numbers import PUBLISHED
-from paper_tables.render import render_directory
+from paper_tables.suite_tables import render_directory
 
 RESULTS = PUBLISHED.parent / "results"
 CELL_SEPARATORS = {".md": "|", ".tex": "&"}

@@ -7,7 +7,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.statistics import Interval
 from paper_tables.judging import less
 from paper_tables.measures import VALUES, Rows, fraction, paired_ratio, solved
-from paper_tables.table import by_planner
+from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, number
 
 COMPARED = {"time": VALUES["time"], "work": VALUES["work"], "length": VALUES["path_length"]}

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.row import ResultRow, split_problem
-from paper_tables import measures, table
+from paper_tables import measures
+from paper_tables import table_engine as table
 from paper_tables.measures import RATIOS, REFERENCE, solved
 from paper_tables.paper_numbers import PublishedValue
 

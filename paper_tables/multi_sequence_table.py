@@ -7,7 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
-from paper_tables import measures, table
+from paper_tables import measures
+from paper_tables import table_engine as table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import Measure, solved
 from paper_tables.paper_numbers import PublishedValue

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables import measures, table
+from paper_tables import measures
+from paper_tables import table_engine as table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import (
     PROJECTION_COST,

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.row import ResultRow, split_problem
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables import measures, table
+from paper_tables import measures
+from paper_tables import table_engine as table
 from paper_tables.measures import REFERENCE, Rows, SuiteRuns, solved
 from paper_tables.paper_numbers import PublishedValue
 

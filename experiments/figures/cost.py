@@ -20,7 +20,7 @@ from paper_tables.measures import (
     problem_median,
     work,
 )
-from paper_tables.table import by_planner, rows_of_one_suite
+from paper_tables.table_engine import by_planner, rows_of_one_suite
 
 OURS = 1e-6
 """A free state of the kitchen, kinematics included (`cvqmpt bench collision`) [s]."""

@@ -21,7 +21,7 @@ from experiments.figures.histogram import write_csv
 from experiments.figures.lines import Line, Panel, panels_figure
 from experiments.suites.suite import suite_named
 from paper_tables.measures import RATIOS, REFERENCE, fraction, paired_ratio
-from paper_tables.table import by_planner, rows_of_one_suite
+from paper_tables.table_engine import by_planner, rows_of_one_suite
 
 SEEDS = range(100, 105)
 """Of the uniform searches that say how hard a problem is; tables use small ones."""

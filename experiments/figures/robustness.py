@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from experiments.figures.drawing import save_figure
 from paper_tables.robustness_table import DEFAULT, TITLES, levels_of
-from paper_tables.table import Entry
+from paper_tables.table_engine import Entry
 
 SPREAD = 0.12  # [levels] between planners' marks at a level
 

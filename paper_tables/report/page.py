@@ -15,10 +15,10 @@ from paper_tables.claims import Evidence, evidence_below, judged_claims, read_ev
 from paper_tables.claims_page import TERMS, summary_lines, wall_clock
 from paper_tables.measures import REFERENCE, VALUES, Rows, work
 from paper_tables.paper_numbers import read_published
-from paper_tables.render import SuiteTable, table_of
 from paper_tables.report import plots
 from paper_tables.report.check_cost import COSTS, against_reference, duration
-from paper_tables.table import by_planner
+from paper_tables.suite_tables import SuiteTable, table_of
+from paper_tables.table_engine import by_planner
 from paper_tables.writers import Sections
 
 TEMPLATE = "page.html.j2"

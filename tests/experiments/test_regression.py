@@ -17,7 +17,7 @@ from cvqmpt_lab.vqmpt.latent_update import LatentObjective
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, Outcome, compare, made_with, measure
 from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable
-from paper_tables.render import render_directory
+from paper_tables.suite_tables import render_directory
 
 FEW = (Case("birrt", 2, 0, 20_000), Case("birrt", 2, 1, 20_000), Case("ompl-projected", 2, 1, 20_000))
 CLEAN = {"git_commit": "a" * 40, "git_dirty": False}

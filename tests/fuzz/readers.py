@@ -44,7 +44,7 @@ from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from cvqmpt_lab.trajectory.trajectory_files import read_motion
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.weights import read_model
-from paper_tables.render import render_directory
+from paper_tables.suite_tables import render_directory
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 SIDE = 24  # of depth images

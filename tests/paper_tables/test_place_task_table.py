@@ -14,7 +14,7 @@ from paper_tables.judging import judged
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_table import COLUMNS, HEADLINES, place_task_table, split_metric
 from paper_tables.statements import ABOUT_PLACE_TASK
-from paper_tables.table import entries, suite_runs
+from paper_tables.table_engine import entries, suite_runs
 
 PAPER = read_published("place_task.csv", "Place Task")
 

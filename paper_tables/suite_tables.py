@@ -15,7 +15,7 @@ from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_table import place_task_table
 from paper_tables.robustness_table import robustness_table
-from paper_tables.table import Rendered, rows_of_one_suite
+from paper_tables.table_engine import Rendered, rows_of_one_suite
 
 
 class SuiteTable(NamedTuple):

@@ -9,7 +9,7 @@ from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.results.row import write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 from experiments.suites.suite import SUITES
-from paper_tables.render import TABLES, render_directory
+from paper_tables.suite_tables import TABLES, render_directory
 
 
 def rows(suite="place-task", count=10):
