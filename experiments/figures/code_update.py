@@ -1,13 +1,21 @@
 """The Gaussians of the codes that `cvq-mpt` predicts for one problem, before and after the paper's Algorithm 2.
 
 They are as the decoder gives them: planners widen them before they sample. The draws come from the same standard normal
-numbers before and after, so that what differs is the update and not luck.
+numbers before and after, so that what differs is the update and not the random seed.
+
+The paper's figure shows two dictionary values predicted for the place task, one far from the constraint and one near
+it: histograms of F^T F, and how tight the bound of its equation `markov` is, P(F^T F >= k) <= G / k, G the mean.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.errors import InvalidInputError
@@ -22,12 +30,19 @@ from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
+from experiments.figures.drawing import write_csv
 
 PLANNER = "cvq-mpt"
 ENOUGH = Budget(seconds=60.0)
 FAR, NEAR = "far", "near"
 RANKS: Mapping[str, float] = {FAR: 0.9, NEAR: 0.1}
 """Which codes stand for those far from and near the constraint: ranks among all predicted, in [0, 1]."""
+BINS = 40
+SHOWN = 0.99  # share of the draws that the even bins cover; what lies beyond is one last wide bin
+THRESHOLDS = tuple(float(f"{k:.3g}") for k in np.geomspace(1e-3, 10.0, 25))
+"""At which the tail is measured and bounded [the constraint's units, squared]."""
+HISTOGRAM_FILE, VALUES_FILE, MARKOV_FILE = "histogram.csv", "values.csv", "markov.csv"
+COLOURS = {"before": "#8c96a3", "after": "#1f6fb4"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +50,7 @@ class UpdateSettings:
     """How an update is measured."""
 
     seed: int = 0
-    samples: int = 2000
-    """Draws of each code's Gaussian, before and after."""
+    samples: int = 2000  # draws of each code's Gaussian, before and after
 
     def __post_init__(self) -> None:
         for name, least in (("seed", 0), ("samples", 1)):
@@ -46,14 +60,11 @@ class UpdateSettings:
                 )
 
 
-@dataclass(frozen=True, eq=False)
-class Gaussians:
-    """Gaussians of codes."""
+class Gaussians(NamedTuple):
+    """Gaussians of c codes."""
 
-    means: np.ndarray
-    """(c, n) [rad]."""
-    scales: np.ndarray
-    """(c, n, n) [rad], lower triangular: q = mean + scale @ noise."""
+    means: np.ndarray  # (c, n) [rad]
+    scales: np.ndarray  # (c, n, n) [rad], lower triangular: q = mean + scale @ noise
 
     def draws(self, code: int, noise: np.ndarray) -> np.ndarray:
         """Configurations (s, n) [rad] of one code from standard normal noise (s, n)."""
@@ -62,27 +73,18 @@ class Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class CodeUpdate:
-    """What a model says of some codes before and after the update."""
+    """What a model says of c codes before and after the update; F^T F in the constraint's units, squared."""
 
-    problem: PlanningProblem
-    """With its goals."""
-    cloud: np.ndarray
-    """What the model saw (m, 3) [m]."""
-    codes: np.ndarray
-    """(c,), predicted: rows of the dictionary."""
+    problem: PlanningProblem  # with its goals
+    cloud: np.ndarray  # what the model saw (m, 3) [m]
+    codes: np.ndarray  # (c,), predicted: rows of the dictionary
     before: Gaussians
-    """Of these codes."""
     after: Gaussians
-    noise: np.ndarray
-    """(s, n), standard normal."""
-    centre_before: np.ndarray
-    """F^T F at the means (c,) [the constraint's units, squared]."""
+    noise: np.ndarray  # (s, n), standard normal
+    centre_before: np.ndarray  # F^T F at the means (c,)
     centre_after: np.ndarray
-    """Likewise."""
-    g_before: np.ndarray
-    """F^T F at the draws that noise makes (c, s)."""
+    g_before: np.ndarray  # F^T F at the draws that noise makes (c, s)
     g_after: np.ndarray
-    """Likewise."""
 
     @property
     def kept(self) -> np.ndarray:
@@ -96,7 +98,7 @@ class CodeUpdate:
 
 
 def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSettings) -> CodeUpdate:
-    """Look at the scene, predict, update, draw; model: as of `vqmpt.weights.resolve_model`.
+    """Observe the scene, predict, update, draw; model: as of `vqmpt.weights.resolve_model`.
 
     Raises
     ------
@@ -119,12 +121,16 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
             f"problem {problem.name}: the model predicted {len(codes)} codes, {len(RANKS)} are compared; "
             "choose another problem or model"
         )
-    codebook = codebook_of(method.weights, problem.robot)
+    codebook, constraint = codebook_of(method.weights, problem.robot), problem.manifold
     z = codebook.vectors[codes]
-    moved = LatentOptimizer(codebook, LatentSettings(steps=STEPS)).optimize(z, problem.manifold, planned)
-    before, after = (_gaussians(*codebook.gaussians(each)) for each in (z, moved.z))
+    moved = LatentOptimizer(codebook, LatentSettings(steps=STEPS)).optimize(z, constraint, planned)
     noise = drawn.standard_normal((settings.samples, problem.robot.dof))
-    constraint = problem.manifold
+    sides = []
+    for means, covariances in map(codebook.gaussians, (z, moved.z)):
+        side = Gaussians(means, np.linalg.cholesky(covariances))
+        g = [squared_residual(constraint, side.draws(k, noise)) for k in range(len(codes))]
+        sides.append((side, squared_residual(constraint, means), np.array(g)))
+    (before, centre_before, g_before), (after, centre_after, g_after) = sides
     return CodeUpdate(
         problem=problem,
         cloud=cloud,
@@ -132,15 +138,11 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
         before=before,
         after=after,
         noise=noise,
-        centre_before=squared_residual(constraint, before.means),
-        centre_after=squared_residual(constraint, after.means),
-        g_before=_squared_residuals(constraint, before, noise),
-        g_after=_squared_residuals(constraint, after, noise),
+        centre_before=centre_before,
+        centre_after=centre_after,
+        g_before=g_before,
+        g_after=g_after,
     )
-
-
-def _gaussians(means: np.ndarray, covariances: np.ndarray) -> Gaussians:
-    return Gaussians(means, np.linalg.cholesky(covariances))
 
 
 def squared_residual(constraint: Constraint, q: np.ndarray) -> np.ndarray:
@@ -148,7 +150,153 @@ def squared_residual(constraint: Constraint, q: np.ndarray) -> np.ndarray:
     return np.square(constraint.residual(q)).sum(axis=1)
 
 
-def _squared_residuals(constraint: Constraint, gaussians: Gaussians, noise: np.ndarray) -> np.ndarray:
-    """F^T F (c, s) at the draws of every code."""
-    codes = range(len(gaussians.means))
-    return np.array([squared_residual(constraint, gaussians.draws(code, noise)) for code in codes])
+# ---------------------------------------------------------------- what the figure shows of a code
+
+
+class Histogram(NamedTuple):
+    """Counts of two samples in the same bins."""
+
+    edges: np.ndarray  # (b + 1,)
+    before: np.ndarray  # (b,)
+    after: np.ndarray  # (b,)
+    beyond: int  # wide bins at the end, 0 or 1
+
+    @classmethod
+    def of(cls, before: np.ndarray, after: np.ndarray, bins: int = BINS) -> "Histogram":
+        """Bin values of 0 or more: even bins from 0 for most, and one for the rest; every value is counted.
+
+        InvalidInputError for values that are negative or not finite, or less than one bin.
+        """
+        both = np.concatenate((before, after))
+        if bins < 1 or len(both) == 0 or not (np.isfinite(both).all() and (both >= 0.0).all()):
+            raise InvalidInputError(
+                f"histogram of {len(both)} values in {bins} bins: give 1 bin or more, and finite values from 0"
+            )
+        top, most = float(both.max(initial=0.0)), float(np.quantile(both, SHOWN))
+        edges = np.linspace(0.0, most if most > 0.0 else top if top > 0.0 else 1.0, bins + 1)
+        if top > edges[-1]:
+            edges = np.append(edges, top)
+        counts = [np.histogram(values, edges)[0] for values in (before, after)]
+        beyond = np.count_nonzero(np.diff(edges) > (1.0 + 1e-6) * edges[1])
+        return cls(edges, counts[0], counts[1], int(beyond))
+
+
+class MarkovTail(NamedTuple):
+    """Share of draws of a value of 0 or more that reach k, and what Markov's inequality allows.
+
+    The bound takes the mean of the same draws, so it holds for them exactly; above 1 it says nothing.
+    """
+
+    mean: float
+    k: np.ndarray  # (t,)
+    tail: np.ndarray  # (t,)
+    bound: np.ndarray  # (t,), mean / k
+
+    @classmethod
+    def of(cls, values: np.ndarray, thresholds: Sequence[float] = THRESHOLDS) -> "MarkovTail":
+        """Measure values (s,) at thresholds > 0."""
+        k = np.asarray(thresholds, dtype=float)
+        if len(values) == 0 or not (k > 0.0).all():
+            raise InvalidInputError(
+                f"Markov bound of {len(values)} values at {thresholds}: give values, and thresholds above 0"
+            )
+        return cls(float(values.mean()), k, (values[:, None] >= k).mean(axis=0), values.mean() / k)
+
+
+class CodeChange(NamedTuple):
+    """What the figure shows of one code."""
+
+    code: int
+    role: str
+    histogram: Histogram
+    tails: dict[str, MarkovTail]  # before and after
+
+
+def code_changes(update: CodeUpdate) -> list[CodeChange]:
+    """The far and the near code."""
+    changes = []
+    for role, index in update.representatives().items():
+        before, after = update.g_before[index], update.g_after[index]
+        tails = {"before": MarkovTail.of(before), "after": MarkovTail.of(after)}
+        changes.append(CodeChange(int(update.codes[index]), role, Histogram.of(before, after), tails))
+    return changes
+
+
+def write_tables(update: CodeUpdate, changes: Sequence[CodeChange], folder: Path) -> list[Path]:
+    """Write the numbers of the figure and those of every predicted code; returns the files."""
+    counted = [
+        {"code": code, "role": role, "from": float(low), "to": float(high), "before": int(b), "after": int(a)}
+        for code, role, found, _ in changes
+        for (low, high), b, a in zip(pairwise(found.edges), found.before, found.after, strict=True)
+    ]
+    bounded = [
+        {"code": code, "role": role, "when": when, "k": float(k), "tail": float(tail), "bound": float(bound)}
+        for code, role, _, tails in changes
+        for when, markov in tails.items()
+        for k, tail, bound in zip(markov.k, markov.tail, markov.bound, strict=True)
+    ]
+    tables = {HISTOGRAM_FILE: counted, VALUES_FILE: value_rows(update), MARKOV_FILE: bounded}
+    return [write_csv(folder / name, rows) for name, rows in tables.items()]
+
+
+def value_rows(update: CodeUpdate) -> list[dict[str, object]]:
+    """A row for every predicted code: F^T F at its mean, mean of F^T F of draws, share of these where F is zero."""
+    roles = {index: role for role, index in update.representatives().items()}
+    return [
+        {
+            "code": int(update.codes[i]),
+            "role": roles.get(i, ""),
+            "centre_before": float(update.centre_before[i]),
+            "centre_after": float(update.centre_after[i]),
+            "g_before": float(before.mean()),
+            "g_after": float(after.mean()),
+            "satisfied_before": float((before == 0.0).mean()),
+            "satisfied_after": float((after == 0.0).mean()),
+            "kept": int(update.kept[i]),
+        }
+        for i, (before, after) in enumerate(zip(update.g_before, update.g_after, strict=True))
+    ]
+
+
+def histogram_figure(changes: Sequence[CodeChange]) -> Figure:
+    """A row for each code: histogram of F^T F, and its tail below the Markov bound."""
+    figure = Figure(figsize=(9.0, 3.1 * len(changes)), layout="constrained")
+    rows = figure.subplots(len(changes), 2, squeeze=False)
+    for (left, right), change in zip(rows, changes, strict=True):
+        _draw_histogram(left, change)
+        _draw_tails(right, change.tails)
+    return figure
+
+
+def _draw_histogram(axes: Axes, change: CodeChange) -> None:
+    edges = change.histogram.edges
+    shown = len(edges) - 1 - change.histogram.beyond
+    for when, colour in COLOURS.items():
+        counts, mean = getattr(change.histogram, when), change.tails[when].mean
+        share, label = counts[:shown] / counts.sum(), f"{when}: mean {mean:#.3g}"
+        axes.stairs(share, edges[: shown + 1], fill=True, color=colour, alpha=0.45)
+        axes.stairs(share, edges[: shown + 1], color=colour, linewidth=1.4, label=label)
+        axes.axvline(mean, color=colour, linestyle=":", linewidth=1.4)
+    place = {FAR: "far from the constraint", NEAR: "near the constraint"}[change.role]
+    axes.set(
+        title=f"{place}: code {change.code}",
+        xlabel="$F(q)^T F(q)$ [rad$^2$]",
+        ylabel="share of draws",
+        xlim=(0.0, edges[shown]),
+    )
+    axes.legend(frameon=False)
+
+
+def _draw_tails(axes: Axes, tails: Mapping[str, MarkovTail]) -> None:
+    for when, markov in tails.items():
+        k, colour = np.geomspace(markov.k[0], markov.k[-1], 400), COLOURS[when]
+        axes.plot(k, np.minimum(markov.mean / k, 1.0), "--", color=colour, label=f"{when}: bound $G/k$")
+        axes.plot(markov.k, markov.tail, ".-", color=colour, label=f"{when}: measured")
+    axes.set(
+        xscale="log",
+        title="tail and its Markov bound",
+        xlabel="$k$ [rad$^2$]",
+        ylabel="$P(F^T F \\geq k)$",
+        ylim=(0.0, 1.05),
+    )
+    axes.legend(frameon=False, fontsize="small", loc="lower left")

@@ -1,31 +1,27 @@
-"""Figures by matplotlib, without a display; numbers come from elsewhere."""
+"""What figures share: panels of lines with bands, one colour a planner in all of them, pictures and tables in files."""
 
+import csv
 import io
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from cvqmpt_lab.files import write_bytes
-from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.show.meshes import Viewpoint
-from cvqmpt_lab.show.picture import still_image
-from experiments.figures.code_update import FAR, NEAR
-from experiments.figures.hand_poses import HandPoses
-from experiments.figures.histogram import CodeChange
+from cvqmpt_lab.files import write_bytes, write_text
+from cvqmpt_lab.results.statistics import Interval
 
-BEFORE, AFTER = "#8c96a3", "#1f6fb4"
 FORMATS = ("png", "svg")
 DPI = 160
-PICTURE = (900, 690)  # [pixels] width and height of the scene behind hands and beside clouds
-STICK = 0.09  # [m] length of the stick that shows which way a hand points up
-CLOSE = Viewpoint(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
+COLOURS = ("#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d")
+DASHES = ("-", "--", ":")
+FEW = 12  # points, each of which is marked
+LONG = 2.2  # powers of ten: a longer x axis is labelled at these alone
+REFERENCE_COLOUR = "0.55"
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
@@ -44,107 +40,79 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     return paths
 
 
-def histogram_figure(changes: Sequence[CodeChange]) -> Figure:
-    """A row for each code: histogram of F^T F, and its tail below the Markov bound."""
-    figure = Figure(figsize=(9.0, 3.1 * len(changes)), layout="constrained")
-    rows = figure.subplots(len(changes), 2, squeeze=False)
-    for (left, right), change in zip(rows, changes, strict=True):
-        _draw_histogram(left, change)
-        _draw_tail(right, change)
-    return figure
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
+    """Write a table whose rows are cells by column, numbers to 6 digits, at once or not at all."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f"{x:.6g}" if isinstance(x, float) else x for name, x in row.items()})
+    write_text(path, text.getvalue())
+    return path
 
 
-def _draw_histogram(axes: Axes, change: CodeChange) -> None:
-    edges = change.histogram.edges
-    shown = len(edges) - 1 - change.histogram.beyond
-    for counts, colour, when, mean in (
-        (change.histogram.before, BEFORE, "before", change.g_before),
-        (change.histogram.after, AFTER, "after", change.g_after),
-    ):
-        share = counts / counts.sum()
-        axes.stairs(share[:shown], edges[: shown + 1], fill=True, color=colour, alpha=0.45)
-        axes.stairs(
-            share[:shown], edges[: shown + 1], color=colour, linewidth=1.4, label=f"{when}: mean {mean:#.3g}"
-        )
-        axes.axvline(mean, color=colour, linestyle=":", linewidth=1.4)
-    place = {FAR: "far from the constraint", NEAR: "near the constraint"}[change.role]
-    axes.set(
-        title=f"{place}: code {change.code}",
-        xlabel="$F(q)^T F(q)$ [rad$^2$]",
-        ylabel="share of draws",
-        xlim=(0.0, edges[shown]),
-    )
-    axes.legend(frameon=False)
+@dataclass(frozen=True)
+class Panel:
+    """A pair of axes with a line of intervals for each planner; a line is broken where there is no estimate."""
+
+    title: str
+    x_label: str  # with unit
+    y_label: str
+    x: Sequence[float]
+    lines: Mapping[str, Sequence[Interval]]
+    log: tuple[bool, bool] = (True, True)  # whether x and y are logarithmic
+    level: float | None = None  # height of a dotted line, such as 1 for ratios
+    bands: bool = True  # show intervals, where there are any
 
 
-def _draw_tail(axes: Axes, change: CodeChange) -> None:
-    for markov, mean, colour, when in (
-        (change.before, change.g_before, BEFORE, "before"),
-        (change.after, change.g_after, AFTER, "after"),
-    ):
-        k = np.geomspace(markov.k[0], markov.k[-1], 400)
-        axes.plot(k, np.minimum(mean / k, 1.0), "--", color=colour, label=f"{when}: bound $G/k$")
-        axes.plot(markov.k, markov.tail, ".-", color=colour, label=f"{when}: measured")
-    axes.set(
-        xscale="log",
-        title="tail and its Markov bound",
-        xlabel="$k$ [rad$^2$]",
-        ylabel="$P(F^T F \\geq k)$",
-        ylim=(0.0, 1.05),
-    )
-    axes.legend(frameon=False, fontsize="small", loc="lower left")
-
-
-def hand_figure(
-    problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], viewpoint: Viewpoint = CLOSE
-) -> Figure:
-    """Titled panels of hands over a picture of the scene: a stick each, upwards, coloured by its tilt."""
-    image = still_image(problem, problem.start, PICTURE, viewpoint)
-    figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
-    tilts = np.concatenate([hands.tilt for _, hands in panels])
-    norm = Normalize(0.0, np.degrees(max(0.5, np.quantile(tilts, 0.9))))
-    axes_of = figure.subplots(1, len(panels), squeeze=False)[0]
-    for axes, (title, hands) in zip(axes_of, panels, strict=True):
-        axes.imshow(0.45 * image / 255.0 + 0.55)
-        _draw_hands(axes, hands, viewpoint, image.shape[:2], norm)
-        axes.set(title=title)
+def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
+    """The panels row by row, with one legend below."""
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(4.8 * columns, 3.6 * rows + 0.5), layout="constrained")
+    axes_of = figure.subplots(rows, columns, squeeze=False).ravel()
+    names = list(dict.fromkeys(name for panel in panels for name in panel.lines))
+    for axes, panel in zip(axes_of, panels, strict=False):
+        _draw(axes, panel, names)
+    for axes in axes_of[len(panels) :]:
         axes.axis("off")
-    colours = ScalarMappable(norm, "viridis_r")
-    label = "tilt of the hand [deg]"
-    figure.colorbar(colours, ax=axes_of, label=label, extend="max", shrink=0.95, pad=0.01)
+    labelled = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in axes_of]
+    handles = {label: handle for pairs in labelled for handle, label in pairs}
+    figure.legend(
+        [handles[name] for name in names],
+        names,
+        loc="outside lower center",
+        ncols=min(len(names), 4),
+        frameon=False,
+        fontsize="small",
+    )
     return figure
 
 
-def _draw_hands(
-    axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple[int, ...], norm: Normalize
-) -> None:
-    """Sticks from each hand along its up direction, the head a dot; farther ones first."""
-    rows, columns = shape
-    ends = np.stack((hands.positions, hands.positions + STICK * hands.up), axis=1)
-    screen = viewpoint.screen(ends, (rows, columns))
-    order = np.argsort(-screen[:, 0, 2], kind="stable")
-    segments, tilt = screen[order, :, :2], np.degrees(hands.tilt[order])
-    sticks = LineCollection(list(segments), cmap="viridis_r", norm=norm, linewidths=1.4, alpha=0.9)
-    sticks.set_array(tilt)
-    axes.add_collection(sticks)
-    axes.scatter(segments[:, 1, 0], segments[:, 1, 1], c=tilt, cmap="viridis_r", norm=norm, s=9.0, zorder=3)
-    axes.set(xlim=(0, columns), ylim=(rows, 0))
-
-
-def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE) -> Figure:
-    """A problem's scene, and beside it its cloud (m, 3) [m] from the same place, coloured by height."""
-    image = still_image(problem, problem.start, PICTURE, viewpoint)
-    figure = Figure(figsize=(10.4, 4.05), layout="constrained")
-    scene, points = axes_of = figure.subplots(1, 2)
-    scene.imshow(image)
-    scene.set(title="scene")
-    rows, columns = image.shape[:2]
-    screen = viewpoint.screen(cloud, (rows, columns))
-    order = np.argsort(-screen[:, 2], kind="stable")  # farther ones first
-    x, y, _ = screen[order].T
-    drawn = points.scatter(x, y, c=cloud[order, 2], cmap="viridis", s=7.0)
-    points.set(title=f"cloud of {len(cloud)} points", xlim=(0, columns), ylim=(rows, 0), aspect="equal")
-    for axes in axes_of:
-        axes.axis("off")
-    figure.colorbar(drawn, ax=axes_of, label="height above the robot's base [m]", shrink=0.95, pad=0.01)
-    return figure
+def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
+    for name, line in panel.lines.items():
+        turn, colour = divmod(names.index(name), len(COLOURS))
+        shade, dash = COLOURS[colour], DASHES[turn % len(DASHES)]
+        known = [(x, i) for x, i in zip(panel.x, line, strict=True) if i.estimate is not None]
+        x, y = [at for at, _ in known], [float(i.estimate or 0.0) for _, i in known]
+        marker = "." if len(x) < FEW else ""
+        axes.plot(x, y, marker=marker, label=name, color=shade, linestyle=dash)
+        low = [i.low for _, i in known if i.low is not None]
+        high = [i.high for _, i in known if i.high is not None]
+        if panel.bands and len(low) == len(high) == len(x):
+            axes.fill_between(x, low, high, color=shade, alpha=0.09, linewidth=0.0)
+    if panel.level is not None:
+        axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
+    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
+    for axis, scale, longest, log in (
+        (axes.xaxis, axes.set_xscale, LONG, panel.log[0]),
+        (axes.yaxis, axes.set_yscale, math.inf, panel.log[1]),
+    ):
+        if log:
+            scale("log")
+            first, last = axis.get_view_interval()
+            at = (1.0,) if math.log10(last / first) > longest else (1.0, 2.0, 5.0)
+            axis.set_major_locator(LogLocator(subs=at, numticks=12))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
+    axes.grid(visible=True, which="major", color="0.92", linewidth=0.6)
+    axes.set_axisbelow(True)

@@ -11,9 +11,7 @@ from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, mean_of_solved, median_interval
-from experiments.figures.drawing import save_figure
-from experiments.figures.histogram import write_csv
-from experiments.figures.lines import Line, Panel, panels_figure
+from experiments.figures.drawing import Panel, panels_figure, save_figure, write_csv
 from paper_tables.measures import REFERENCE
 
 RESTARTED = tuple(name for name in (REFERENCE, "opt-cvq-mpt", "roadmap-cvq") if name in PLANNERS)
@@ -76,59 +74,26 @@ def traces_of(problem: PlanningProblem, seconds: float) -> dict[str, Trace]:
 def draw_equal_time(problems: Sequence[PlanningProblem], folder: Path) -> list[Path]:
     """Run every method on every problem and draw; the first problem is run once before, so that nothing loads later."""
     traces_of(problems[0], 1e-3)
-    found = [traces_of(problem, SECONDS) for problem in problems]
-    best = [
-        min(length for trace in traces.values() for _, length in trace)
-        for traces in found
-        if any(traces.values())
+    found = [traces for problem in problems if any((traces := traces_of(problem, SECONDS)).values())]
+    best = [min(length for trace in traces.values() for _, length in trace) for traces in found]
+    ratios: dict[str, list[Interval]] = {}
+    shares: dict[str, list[Interval]] = {}
+    reached: dict[str, list[float]] = {}
+    for name in found[0]:
+        pairs = [(traces[name], known) for traces, known in zip(found, best, strict=True)]
+        by_then = [[best_by(trace, time) / known for trace, known in pairs] for time in TIMES]
+        # a mean ratio is drawn from when on all but a twentieth have a path
+        ratios[name] = [mean_of_solved(r if np.isfinite(r).mean() >= 0.95 else []) for r in by_then]
+        near = [100.0 * float(np.mean([ratio <= WITHIN for ratio in r])) for r in by_then]
+        shares[name] = [Interval(percent, None, None, len(pairs)) for percent in near]
+        reached[name] = [time_to(trace, WITHIN * known) for trace, known in pairs]
+    x, label = [1e3 * t for t in TIMES], "time [ms]"
+    panels = [
+        Panel("best length by then / best known", label, "ratio", x, ratios, log=(True, False), level=1.0),
+        Panel("problems within 10 % of the best known", label, "%", x, shares, log=(True, False)),
     ]
-    found = [traces for traces in found if any(traces.values())]
-    names = list(found[0])
-    ratios = {name: _ratios([traces[name] for traces in found], best) for name in names}
-    shares = {name: _shares([traces[name] for traces in found], best) for name in names}
-    milliseconds = [1e3 * t for t in TIMES]
-    figure = panels_figure(
-        [
-            Panel(
-                "best length by then / best known",
-                "time [ms]",
-                "ratio",
-                [Line(name, milliseconds, values) for name, values in ratios.items()],
-                log=(True, False),
-                level=1.0,
-            ),
-            Panel(
-                "problems within 10 % of the best known",
-                "time [ms]",
-                "%",
-                [Line(name, milliseconds, values) for name, values in shares.items()],
-                log=(True, False),
-            ),
-        ]
-    )
-    reached = {
-        name: [time_to(t[name], WITHIN * b) for t, b in zip(found, best, strict=True)] for name in names
-    }
-    table = [_cells(name, reached) for name in names]
-    return [*save_figure(figure, folder, NAME), write_csv(folder / f"{NAME}.csv", table)]
-
-
-def _ratios(traces: Sequence[Trace], best: Sequence[float]) -> list[Interval]:
-    """Mean ratio to the best known by each of `TIMES`, from when on all but a twentieth have a path."""
-    intervals = []
-    for time in TIMES:
-        values = [best_by(trace, time) / known for trace, known in zip(traces, best, strict=True)]
-        solved = np.isfinite(values).mean() >= 0.95
-        intervals.append(mean_of_solved(values if solved else []))
-    return intervals
-
-
-def _shares(traces: Sequence[Trace], best: Sequence[float]) -> list[Interval]:
-    """Percentage of problems within 10 % of the best known by each of `TIMES`."""
-    near = [
-        [best_by(t, time) <= WITHIN * known for t, known in zip(traces, best, strict=True)] for time in TIMES
-    ]
-    return [Interval(100.0 * float(np.mean(values)), None, None, len(values)) for values in near]
+    table = [_cells(name, reached) for name in reached]
+    return [*save_figure(panels_figure(panels), folder, NAME), write_csv(folder / f"{NAME}.csv", table)]
 
 
 def _cells(name: str, reached: Mapping[str, Sequence[float]]) -> dict[str, object]:

@@ -12,14 +12,19 @@ from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
-from experiments.figures.code_update import FAR, CodeUpdate, UpdateSettings, update_codes
-from experiments.figures.cost import draw_cost
-from experiments.figures.difficulty import draw_difficulty
-from experiments.figures.drawing import hand_figure, histogram_figure, save_figure
+from experiments.figures.code_update import (
+    FAR,
+    CodeUpdate,
+    UpdateSettings,
+    code_changes,
+    histogram_figure,
+    update_codes,
+    write_tables,
+)
+from experiments.figures.drawing import save_figure
 from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
-from experiments.figures.hand_poses import hand_change, write_hands
-from experiments.figures.histogram import code_changes, write_tables
-from experiments.figures.robustness import draw_robustness
+from experiments.figures.row_figures import draw_cost, draw_difficulty, draw_robustness
+from experiments.figures.scene_pictures import hand_figure, hands_of_code, write_hands
 from experiments.run import weights_of
 from experiments.suites.suite import suite_named
 
@@ -111,9 +116,11 @@ def _histogram(update: CodeUpdate, folder: Path) -> list[Path]:
 
 
 def _concept(update: CodeUpdate, folder: Path) -> list[Path]:
-    change = hand_change(update, update.representatives()[FAR])
-    figure = hand_figure(update.problem, change.panels)
-    return [*save_figure(figure, folder, "concept"), write_hands(change, folder / "concept.csv")]
+    far = update.representatives()[FAR]
+    sides = hands_of_code(update, far)
+    figure = hand_figure(update.problem, [side.panel for side in sides])
+    table = write_hands(int(update.codes[far]), sides, folder / "concept.csv")
+    return [*save_figure(figure, folder, "concept"), table]
 
 
 FIGURES: Mapping[str, Callable[[CodeUpdate, Path], list[Path]]] = {

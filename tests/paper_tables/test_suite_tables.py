@@ -8,7 +8,7 @@ import pytest
 from made_rows import a_failure, a_row
 
 from cvqmpt_lab.results.row import write_rows
-from experiments.figures.robustness import draw_robustness
+from experiments.figures.row_figures import draw_robustness
 from paper_tables.constraints_table import constraints_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published

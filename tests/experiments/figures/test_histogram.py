@@ -17,11 +17,22 @@ from cvqmpt_lab.show.meshes import Viewpoint
 from cvqmpt_lab.show.picture import still_image
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import weights_digest
-from experiments.figures import drawing
-from experiments.figures.code_update import FAR, NEAR, UpdateSettings, squared_residual, update_codes
-from experiments.figures.drawing import cloud_figure, figure_bytes, histogram_figure
-from experiments.figures.hand_poses import HandPoses, hand_change
-from experiments.figures.histogram import THRESHOLDS, Histogram, MarkovTail, code_changes, value_rows
+from experiments.figures import scene_pictures
+from experiments.figures.code_update import (
+    FAR,
+    NEAR,
+    THRESHOLDS,
+    Histogram,
+    MarkovTail,
+    UpdateSettings,
+    code_changes,
+    histogram_figure,
+    squared_residual,
+    update_codes,
+    value_rows,
+)
+from experiments.figures.drawing import figure_bytes
+from experiments.figures.scene_pictures import HandPoses, cloud_figure, hands_of_code
 
 SETTINGS = UpdateSettings(samples=300)
 PUBLISHED = "published"
@@ -156,11 +167,11 @@ def test_satisfied_share_is_that_of_the_constraint(update, problem):
 
 
 def test_hands_by_another_kinematics(update, problem):
-    change = hand_change(update, 1, count=20)
-    for i, q in enumerate(change.after.q):
+    after = hands_of_code(update, 1, count=20)[1].hands
+    for i, q in enumerate(after.q):
         T = problem.robot.pose(q)
-        np.testing.assert_allclose(change.after.positions[i], T[:3, 3], atol=1e-9)
-        assert np.cos(change.after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
+        np.testing.assert_allclose(after.positions[i], T[:3, 3], atol=1e-9)
+        assert np.cos(after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
     upright = HandPoses.of(problem.robot, problem.start[None])
     assert upright.tilt[0] < 1e-4
 
@@ -183,7 +194,7 @@ def test_the_scene_is_drawn_where_its_viewpoint_puts_it(problem):
 
 @pytest.fixture
 def small_pictures(monkeypatch):
-    monkeypatch.setattr(drawing, "PICTURE", (180, 138))
+    monkeypatch.setattr(scene_pictures, "PICTURE", (180, 138))
 
 
 def test_the_cloud_is_drawn_beside_its_scene(update, small_pictures):

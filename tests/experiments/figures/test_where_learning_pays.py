@@ -7,9 +7,8 @@ import pytest
 from made_rows import a_row
 
 from cvqmpt_lab.results.row import RUNS_FILE, write_rows
-from experiments.figures.cost import OURS, draw_cost
-from experiments.figures.difficulty import bins_of
 from experiments.figures.equal_time import best_by, time_to
+from experiments.figures.row_figures import OURS, bins_of, draw_cost
 
 TRACE = ((0.01, 8.0), (0.05, 6.0), (0.2, 5.0))
 
