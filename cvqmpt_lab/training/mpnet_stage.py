@@ -12,7 +12,7 @@ from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, SceneStage
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.mpnet import MPNet
 
 
 @dataclass(frozen=True, kw_only=True)

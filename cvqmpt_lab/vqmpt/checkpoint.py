@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, RobotSignature, StoredModel, read_model, write_model
 

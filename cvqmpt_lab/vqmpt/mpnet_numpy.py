@@ -1,7 +1,7 @@
 """MPNet at planning time, in numpy: one proposal at a time, repeatable by seed.
 
 For one row a torch call takes several times what it computes; several rows at once gain nothing, because a product
-with one row reads each weight once and needs no preparation. Same mathematics as `mpnet_network`, which is trained.
+with one row reads each weight once and needs no preparation. Same mathematics as `mpnet`, which is trained.
 """
 
 from itertools import pairwise

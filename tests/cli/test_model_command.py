@@ -20,7 +20,7 @@ from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, load_checkpoint, save_checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt, robot_signature
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
 from cvqmpt_lab.vqmpt.weights import WEIGHTS, OtherRobotError, resolve_model, weights_digest
 

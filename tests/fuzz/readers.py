@@ -196,7 +196,7 @@ def network():
 
     from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
     from cvqmpt_lab.vqmpt.config import MPNetConfig
-    from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+    from cvqmpt_lab.vqmpt.mpnet import MPNet
 
     sizes = MPNetConfig(n_points=20, encoder_widths=(8,), code_dim=4, planner_widths=(8, 6))
     torch.manual_seed(0)

@@ -21,7 +21,7 @@ from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet_network import MPNet
+from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 from experiments.rows import Run, path_hash, result_row

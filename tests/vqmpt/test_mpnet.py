@@ -7,7 +7,7 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet_network import MPNet, dropout
+from cvqmpt_lab.vqmpt.mpnet import MPNet, dropout
 from cvqmpt_lab.vqmpt.weights import MPNET, RobotSignature, read_model
 
 SMALL = MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 12, 8))

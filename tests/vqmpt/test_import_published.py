@@ -18,9 +18,8 @@ ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
     imported = import_published(*published(), ROBOT)
     model = imported.checkpoint
-    assert {name: tensors for name, (tensors, _) in imported.states.items()} == {
-        name: len(state) for name, state in published_states.items()
-    }
+    tensors = {name: count for name, (count, _) in imported.states.items()}
+    assert tensors == {name: len(state) for name, state in published_states.items()}
     assert imported.ignored == ("epoch", "n_steps", "optimizer") and imported.epochs == (7, 7)
     for name, tensor in published_states["context_state"].items():
         assert torch.equal(model.sequence_model.context.state_dict()[name], tensor)
@@ -30,10 +29,10 @@ def test_published_folders_become_a_model_that_runs(published, published_states,
     logits = model.sequence_model.prefix_logits(context, codes, model.dictionary.quantizer)
     assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
     save_checkpoint(tmp_path / "ours", model)
-    again = load_checkpoint(tmp_path / "ours", ROBOT)
-    for name, tensor in model.sequence_model.state_dict().items():
-        assert torch.equal(again.sequence_model.state_dict()[name], tensor)
-    assert again.sequence_model.state_dict().keys() == model.sequence_model.state_dict().keys()
+    before, after = model.sequence_model, load_checkpoint(tmp_path / "ours", ROBOT).sequence_model
+    assert after.state_dict().keys() == before.state_dict().keys()
+    for name, tensor in before.state_dict().items():
+        assert torch.equal(after.state_dict()[name], tensor)
 
 
 def without(state, name):
@@ -49,11 +48,7 @@ def without(state, name):
         ("ar_model_state", lambda s: s | {"layer_norm.bias": torch.zeros(512).long()}, "bias is torch.int64"),
         ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
         ("context_state", lambda s: {"a": 1}, "not made of tensors"),
-        (
-            "decoder_state",
-            lambda s: s | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)},
-            "mu.0.bias has NaN or inf",
-        ),
+        ("decoder_state", lambda s: s | {"mu.0.bias": 1e300 * torch.ones(7).double()}, "bias has NaN or inf"),
         ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7).to_sparse()}, "mu.0.bias is sparse"),
         ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7, device="meta")}, "mu.0.bias is .*without data"),
         ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that of this model"),
@@ -79,12 +74,9 @@ def test_tensors_that_do_not_fit_are_listed(published, published_states, name, c
         ({"model_params": STAGE1 | {"dropout": 1.5}}, "dropout is 1.5; give 0 or more, and less than 1"),
         ({"cross_attn": CONTEXT | {"n_layers": 10**6}}, r"n_layers is 1000000; give 1 to 64"),
         ({"ar_params": SEQUENCE | {"d_model": 256}}, "one latent width"),
-        (
-            {"ar_params": SEQUENCE | {"num_keys": 1026}},
-            r"embedding.weight is \(2048, 8\), expected \(1024, 8\)",
-        ),
+        ({"ar_params": SEQUENCE | {"num_keys": 1026}}, r"embedding.weight is \(2048, 8\), expected \(1024, 8\)"),
     ],
-)
+)  # fmt: skip
 def test_json_files_are_checked(published, changes, message):
     with pytest.raises(InvalidInputError, match=message):
         import_published(*published(**changes), ROBOT)
@@ -106,28 +98,28 @@ def legacy(content, path):
 def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
     folders = published()
     save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
-    with pytest.raises(
-        InvalidInputError, match=r"is refused: it holds posix.mkdir, .* would run code"
-    ) as caught:
+    with pytest.raises(InvalidInputError, match=r"is refused: it holds posix.mkdir, .* run code") as caught:
         import_published(*folders, ROBOT)
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "ran").exists()
+    assert "\n" not in str(caught.value) and not (tmp_path / "ran").exists()
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("make", "message"),
     [
-        (b"PK\x03\x04 broken", "is no torch checkpoint, or cut short"),
-        (b"", "is empty"),
-        (b"\n<!DOCTYPE html><html><title>Google Drive", "is a web page"),
-        (pickle.dumps({"encoder_state": Malicious("ran")}), "is no torch checkpoint"),
-        (b"hello", "is no torch checkpoint"),
+        (lambda path: path.write_bytes(b"PK\x03\x04 broken"), "is no torch checkpoint, or cut short"),
+        (lambda path: path.write_bytes(b""), "is empty"),
+        (lambda path: path.write_bytes(b"\n<!DOCTYPE html><html><title>Google Drive"), "is a web page"),
+        (lambda path: path.write_bytes(pickle.dumps({"a": Malicious("ran")})), "is no torch checkpoint"),
+        (lambda path: path.write_bytes(b"hello"), "is no torch checkpoint"),
+        (lambda path: torch.save([1], path), "holds a list"),
+        (lambda path: None, ": No such file"),
+        (os.mkfifo, ": it is not a regular file"),
     ],
 )
-def test_files_that_are_something_else_are_called_what_they_are(tmp_path, content, message):
-    (tmp_path / "x.pkl").write_bytes(content)
-    with pytest.raises(InvalidInputError, match=rf"x\.pkl {message}") as caught:
+def test_files_that_are_something_else_are_called_what_they_are(tmp_path, make, message):
+    make(tmp_path / "x.pkl")
+    with pytest.raises(InvalidInputError, match=rf"x\.pkl ?{message}") as caught:
         read_tensors(tmp_path / "x.pkl")
     assert "\n" not in str(caught.value)
 
@@ -139,14 +131,3 @@ def test_a_legacy_pickle_cut_anywhere_is_one_line(tmp_path):
         (tmp_path / "cut.pkl").write_bytes(whole[:length])
         with pytest.raises(InvalidInputError, match=r"cut\.pkl is"):
             read_tensors(tmp_path / "cut.pkl")
-
-
-def test_lists_missing_files_and_pipes_are_named(tmp_path):
-    torch.save([1], tmp_path / "list.pkl")
-    with pytest.raises(InvalidInputError, match="holds a list"):
-        read_tensors(tmp_path / "list.pkl")
-    with pytest.raises(InvalidInputError, match=r"cannot read .*: No such file"):
-        read_tensors(tmp_path / "none.pkl")
-    os.mkfifo(tmp_path / "pipe.pkl")
-    with pytest.raises(InvalidInputError, match="it is not a regular file"):
-        read_tensors(tmp_path / "pipe.pkl")

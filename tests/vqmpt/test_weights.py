@@ -1,0 +1,164 @@
+"""Weights on disk: round trips, every kind of damage named, and the comparison with the robot at hand."""
+
+import json
+import os
+from dataclasses import replace
+
+import pytest
+import torch
+
+from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.vqmpt import weights
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from cvqmpt_lab.vqmpt.config import DictionaryConfig, ModelConfig, TransformerConfig
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.weights import OtherRobotError, RobotSignature, weights_digest
+
+ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
+SIZES = TransformerConfig(n_layers=1, n_heads=1, d_k=4, d_v=4, d_model=8, d_inner=8)
+WORDS = DictionaryConfig(transformer=SIZES, n_position=5, n_codes=6)
+CONFIG = ModelConfig(kind="compact", dictionary=WORDS, point_cloud=None, sequence=None)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save_checkpoint(tmp_path / "model", Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG), metadata={"note": 1}))
+    return tmp_path / "model"
+
+
+def test_round_trip(folder):
+    loaded = load_checkpoint(folder, ROBOT)
+    assert (loaded.config, loaded.robot, loaded.metadata) == (CONFIG, ROBOT, {"note": 1})
+    assert loaded.sequence_model is None and not loaded.dictionary.training
+    other, first = Dictionary(CONFIG), weights_digest(folder)
+    save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, other))  # replaces
+    for name, tensor in load_checkpoint(folder).dictionary.state_dict().items():
+        assert torch.equal(tensor, other.state_dict()[name])
+    assert weights_digest(folder) != first
+    assert [path.name for path in folder.parent.iterdir()] == ["model"]
+
+
+@pytest.mark.parametrize("name", ["write_bytes", "_move_into_place"])
+def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch, name):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    before = weights_digest(folder)
+    monkeypatch.setattr(weights, name, full)
+    with pytest.raises(InvalidInputError, match="No space left"):
+        save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG)))
+    assert weights_digest(folder) == before
+    assert [path.name for path in folder.parent.iterdir()] == ["model"]
+
+
+def test_weights_that_are_not_finite_are_not_written(tmp_path):
+    dictionary = Dictionary(CONFIG)
+    with torch.no_grad():
+        dictionary.decoder.mu[0].bias[0] = torch.nan
+    with pytest.raises(InvalidInputError, match=r"decoder\.mu\.0\.bias has NaN"):
+        save_checkpoint(tmp_path / "m", Checkpoint(CONFIG, ROBOT, dictionary))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_damage_is_named(folder):
+    file = folder / "dictionary.safetensors"
+    data = file.read_bytes()
+    file.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(InvalidInputError, match=r"dictionary\.safetensors is damaged: sha256"):
+        load_checkpoint(folder)
+    file.unlink()
+    with pytest.raises(InvalidInputError, match=r"dictionary\.safetensors: No such file"):
+        load_checkpoint(folder)
+    with pytest.raises(InvalidInputError, match=r"config\.json: No such file"):
+        load_checkpoint(folder.parent)
+    os.mkfifo(file)  # not waited for
+    with pytest.raises(InvalidInputError, match=r"dictionary\.safetensors: it is not a regular file"):
+        load_checkpoint(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["model"]["dictionary"].update(n_codes=9), r"embedding.weight is \(6, 8\), expected \(9, 8\)"),
+        (  # 14 GB, were they made before the file is compared
+            lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000),
+            r"embedding.weight is \(6, 8\), expected \(60000, 60000\)",
+        ),
+        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is missing"),
+        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; give 1 to 64"),
+        (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
+        (lambda d: d.update(format="2"), "format is '2'"),
+        (lambda d: d.pop("metadata"), "metadata is None"),
+        (lambda d: d["sha256"].clear(), "sha256 lists nothing; it must list dictionary"),
+        (lambda d: d.update(architecture="mpnet"), "architecture is 'mpnet'; expected 'vq-mpt'"),
+        (lambda d: d["robot"].pop("lower"), "robot.lower is missing"),
+        (lambda d: d["robot"].update(lower=[0.0], upper=[1.0]), "limits of 1 joints"),
+    ],
+)  # fmt: skip
+def test_config_and_tensors_must_agree(folder, change, message):
+    description = json.loads((folder / "config.json").read_text())
+    change(description)
+    (folder / "config.json").write_text(json.dumps(description))
+    with pytest.raises(InvalidInputError, match=message):
+        load_checkpoint(folder)
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", "", '{"a": 1, "a": 2}', pytest.param('{"a": ' * 100_000, id="nested")]
+)
+def test_configs_that_are_no_objects_are_one_line(folder, text):
+    (folder / "config.json").write_text(text)
+    with pytest.raises(InvalidInputError, match=r"config\.json") as caught:
+        load_checkpoint(folder)
+    assert "\n" not in str(caught.value)
+
+
+ARM = RobotSignature("arm", (-1.0, -1.0), (2.0, 2.0), ("shoulder", "elbow"), "0123456789")
+OLD = RobotSignature("arm", ARM.lower, ARM.upper)
+
+
+def test_the_same_robot_may_have_another_name_or_less_on_record():
+    ARM.require_same(replace(ARM, name="my arm", upper=(2.0, 2.00001)))
+    ARM.require_same(OLD)
+    OLD.require_same(ARM)
+
+
+@pytest.mark.parametrize(
+    ("weights", "robot", "message"),
+    [
+        (ARM, replace(ARM, lower=(0.0,), upper=(1.0,), joints=()), "not this one: 2 joints, not 1"),
+        (ARM, replace(ARM, joints=("shoulder", "wrist")), "joint 'elbow', not 'wrist'"),
+        (ARM, replace(ARM, upper=(2.0, 2.5)), "upper limit of joint 1 2, not 2.5"),
+        (ARM, replace(ARM, kinematics="fedcba9876"), r"placed otherwise \(kinematics 01234567, not fedcba98\)"),
+        (OLD, replace(ARM, name="leg"), "not 'leg': another name, and no digest to compare"),
+    ],
+)  # fmt: skip
+def test_another_robot_is_refused_with_the_difference(weights, robot, message):
+    with pytest.raises(OtherRobotError, match=f"for robot 'arm', .*{message}"):
+        weights.require_same(robot)
+
+
+def test_signatures_survive_json_and_earlier_versions_are_read():
+    assert from_plain(RobotSignature, json.loads(json.dumps(to_plain(ARM)))) == ARM
+    assert from_plain(RobotSignature, {"name": "arm", "lower": [-1, -1], "upper": [2, 2]}) == OLD
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"name": 3},
+        {"lower": "low"},
+        {"lower": ["-1", "-1"]},
+        {"upper": [10**400, 2]},
+        {"upper": [float("nan"), 2]},
+        {"lower": [3, 3]},
+        {"lower": [], "upper": []},
+        {"joints": "elbow"},
+        {"joints": ["elbow"]},
+        {"kinematics": 5},
+    ],
+)
+def test_what_is_no_signature_is_refused(change):
+    with pytest.raises(InvalidInputError, match=r"^config: robot"):
+        from_plain(RobotSignature, to_plain(ARM) | change, "config: robot")
