@@ -41,7 +41,8 @@ def pages_of(results: Path) -> dict[Path, str]:
         raise InvalidInputError(
             f"{results} holds no results directories; name a folder that does, such as runs/all"
         )
-    return {results / PAGE_NAME: page_text(results, results)}
+    found = evidence_below(results)
+    return {results / PAGE_NAME: page_text(found, judged_claims(found), results)}
 
 
 def verdict_lines(results: Path) -> list[str]:

@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
@@ -83,10 +83,8 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     return lines
 
 
-def page_text(results: Path, root: Path) -> str:
+def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
     """The page; links go from the folder `root`."""
-    found = evidence_below(results)
-    claims = judged_claims(found)
     parts = [
         "# Does the paper hold?\n",
         "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained Motion Planning "
@@ -164,9 +162,11 @@ def with_summary(text: str, summary: str) -> str:
 
 def committed_pages() -> dict[Path, str]:
     """The committed page and, in a checkout, the README, as their rows say that they should be."""
-    pages = {PAGE: page_text(RESULTS, PAGE.parent)}
+    found = evidence_below(RESULTS)
+    claims = judged_claims(found)
+    pages = {PAGE: page_text(found, claims, PAGE.parent)}
     if README.is_file():
-        summary = markdown_table(summary_lines(judged_claims(evidence_below(RESULTS))))
+        summary = markdown_table(summary_lines(claims))
         pages[README] = with_summary(read_text(README), f"{BEGIN}\n{summary}{END}")
     return pages
 

@@ -51,7 +51,8 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     results = a_results_folder(
         tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, ompl_projected=4.0, birrt=1.0, new_one=2.0
     )
-    page = page_text(results, results)
+    found = evidence_below(results)
+    page = page_text(found, judged_claims(found), results)
     assert "time −75.0 [−75.0, −75.0] % against `ompl-projected`" in page
     assert re.search(r"cvq-mpt plans in half the time +\| ompl-projected .*\| confirmed ", page)
     assert re.search(
@@ -59,7 +60,7 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     )
     assert "`cvqmpt x`: wall-clock 5 min" in page and "(place-task/runs.csv)" in page
     assert "| new-one " in page, "a planner that nobody has listed stands among the others"
-    assert len(summary_lines(judged_claims(evidence_below(results)))) == 1 + 9
+    assert len(summary_lines(judged_claims(found))) == 1 + 9
 
 
 def test_the_box_replaces_what_stands_between_its_marks_alone():

@@ -2,9 +2,9 @@ import math
 
 import numpy as np
 import pytest
+from made_rows import a_failure, a_row
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
     UNDEFINED,
     Interval,
@@ -136,16 +136,7 @@ def test_geometric_mean_covers_about_as_it_claims():
 
 
 def row(problem, solved, seed=0):
-    return ResultRow(
-        suite="place",
-        problem=problem,
-        planner="x",
-        seed=seed,
-        backend="b",
-        solved=solved,
-        fail_reason=None if solved else "timeout",
-        certified=solved,
-    )
+    return (a_row if solved else a_failure)(problem, seed=seed)
 
 
 def test_jointly_solved_needs_every_planner_and_the_same_seed():
