@@ -19,6 +19,10 @@ from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS, check_volume, thickness, thin_direction
 
 MOST_PIECES = 48
+MOST_VERTICES = 120  # of a hull
+MOST_SAMPLES = 400_000
+PLANES = 62  # of a hull that would have more vertices
+SLACK = 1e-9  # [m] that such a hull is larger, for rounding
 ENOUGH = 0.02  # share of the mesh's own hull that the pieces together may hold too much
 CELLS = 56  # of the grid along the mesh's longest side
 SAMPLES_PER_CELL = 20  # of the surface in a cell that it crosses
@@ -29,7 +33,7 @@ THROUGH_VOID = 0.05  # weight of what a cut opens, among cuts that make hulls eq
 ACROSS = 0.99  # cosine between an axis and the normal of a face across it
 
 
-class Solid:
+class FilledCells:
     """Which cells of a grid a mesh fills; the centres of the outermost ones are where it ends."""
 
     def __init__(self, triangles: FloatArray) -> None:
@@ -57,7 +61,7 @@ class Solid:
         )
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
-        """Solid volume [m^3] between two corners (3,), about."""
+        """FilledCells volume [m^3] between two corners (3,), about."""
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         last = np.where(last == np.array(self._share.shape) - 1, last + 1, last)  # the outermost cells
         part = self._share[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
@@ -91,17 +95,13 @@ class Solid:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Piece:
     """What of a mesh lies between cuts."""
 
-    triangles: FloatArray
-    """(f, 3, 3) [m]."""
-    low: FloatArray
-    """(3,), of the space between the cuts [m]."""
-    high: FloatArray
-    """(3,) [m]."""
-    solid: Solid
-    """The whole mesh."""
+    triangles: FloatArray  # (f, 3, 3) [m]
+    low: FloatArray  # (3,), of the space between the cuts [m]
+    high: FloatArray  # (3,) [m]
+    solid: FilledCells  # the whole mesh
 
     @cached_property
     def hull(self) -> FloatArray:
@@ -114,7 +114,7 @@ class Part:
         """How much of its hull is not solid [m^3]."""
         return max(0.0, _volume(self.hull) - self.solid.volume(self.low, self.high))
 
-    def halves(self) -> "list[Part]":
+    def halves(self) -> "list[Piece]":
         """The two parts on the sides of the best cut; itself where no cut leaves something on both."""
         sketch, whole = self._sketch(), max(_volume(self.hull), 1e-30)
         profiles = self.solid.void_profiles(self.hull, self.low, self.high)
@@ -131,7 +131,7 @@ class Part:
         for sign in (-1.0, 1.0):
             low, high = self.low.copy(), self.high.copy()
             (high if sign < 0.0 else low)[axis] = at
-            parts.append(Part(_clipped(self.triangles, axis, at, sign), low, high, self.solid))
+            parts.append(Piece(_clipped(self.triangles, axis, at, sign), low, high, self.solid))
         return parts if all(len(part.triangles) for part in parts) else [self]
 
     def _sketch(self) -> FloatArray:
@@ -160,13 +160,9 @@ class Part:
 def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     """Cut a mesh into convex pieces.
 
-    Parameters
-    ----------
     triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m].
 
-    Returns
-    -------
-    Vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle [m].
+    Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle [m].
 
     Raises
     ------
@@ -174,9 +170,9 @@ def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     """
     points = triangles.reshape(-1, 3)
     check_volume(points, "the corners of the mesh")
-    whole = Part(triangles, points.min(axis=0), points.max(axis=0), Solid(triangles))
+    whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles))
     enough = ENOUGH * _volume(whole.hull)
-    parts, final = [whole], list[Part]()  # final: those that cannot be cut
+    parts, final = [whole], list[Piece]()  # final: those that cannot be cut
     while parts and len(parts) + len(final) < MOST_PIECES and sum(part.excess for part in parts) > enough:
         worst = max(parts, key=lambda part: part.excess)
         parts.remove(worst)
@@ -213,13 +209,6 @@ def _volume(points: FloatArray) -> float:
         return float(ConvexHull(points).volume) if len(points) > 3 else 0.0
     except QhullError:
         return 0.0
-
-
-# Hulls of few vertices, and points spread over triangles.
-MOST_VERTICES = 120  # of a hull
-MOST_SAMPLES = 400_000
-PLANES = 62  # of a hull that would have more vertices
-SLACK = 1e-9  # [m] that such a hull is larger, for rounding
 
 
 def hull_of(points: FloatArray) -> FloatArray:

@@ -19,34 +19,22 @@ from cvqmpt_lab.scene.kitchen import KitchenParameters, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 
-# Random cubes and spheres around the robot: the environments of the training data.
-CUBE_EDGE = 0.2
-"""Edge of the cubes [m]."""
-SPHERE_RADIUS = 0.15
-"""Radius of the spheres [m]."""
-CUBE_LIFT = 0.5
-"""Height [m] of the point around which cubes are scattered."""
-SPHERE_LIFT = 0.33
-"""Height [m] of the point around which spheres are scattered."""
+CUBE_EDGE = 0.2  # edge of the cubes [m]
+SPHERE_RADIUS = 0.15  # radius of the spheres [m]
+CUBE_LIFT = 0.5  # height [m] of the point around which cubes are scattered
+SPHERE_LIFT = 0.33  # height [m] of the point around which spheres are scattered
 
 
 def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
-    """Return environment number `seed`: cubes with random yaw and spheres, without floor or pedestal.
+    """Return environment number `seed` of the published training data: cubes with random yaw and spheres.
 
-    Order of the draws: cube distances, elevations, azimuths, yaws; sphere distances, elevations,
-    azimuths. The older 6-joint data used 6 cubes and 6 spheres.
-
-    Parameters
-    ----------
-    seed : int
-        Environment number, 0 to 2**32 - 1.
-    n_cubes, n_spheres : int
-        How many of each, 0 or more.
+    The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, whose stream is frozen, so environment n is the same
+    everywhere. Order of the draws: cube distances, elevations, azimuths, yaws; sphere distances, elevations, azimuths.
+    The older 6-joint data used 6 cubes and 6 spheres.
 
     Raises
     ------
-    InvalidInputError
-        If a number is negative or no integer.
+    InvalidInputError: a number is negative or no integer.
     """
     for what, value in (("seed", seed), ("n_cubes", n_cubes), ("n_spheres", n_spheres)):
         if not isinstance(value, Integral) or isinstance(value, bool) or not 0 <= value < 2**32:
@@ -84,13 +72,7 @@ FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")  # beginnings o
 
 
 def family_scene(family: str, number: int) -> Scene:
-    """Return scene `number` of a family.
-
-    Raises
-    ------
-    UnknownChoiceError
-        If there is no such family; the message lists them.
-    """
+    """Return scene `number` of a family; UnknownChoiceError lists the families if there is no such one."""
     if family not in FAMILIES:
         raise UnknownChoiceError("scene family", family, FAMILIES)
     return FAMILIES[family](number)
@@ -167,12 +149,9 @@ def _cage(number: int) -> Scene:
 class _CabinetSizes(NamedTuple):
     """Ranges that a cabinet is drawn from."""
 
-    width: tuple[float, float]
-    """[m]"""
-    gap: tuple[float, float]
-    """Between its boards [m]."""
-    boards: tuple[int, int]
-    """How many, the last number excluded."""
+    width: tuple[float, float]  # [m]
+    gap: tuple[float, float]  # between its boards [m]
+    boards: tuple[int, int]  # how many, the last number excluded
 
 
 WIDE = _CabinetSizes((0.35, 0.9), (0.25, 0.5), (2, 5))

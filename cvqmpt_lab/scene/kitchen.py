@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from cvqmpt_lab.scene.kitchen_parameters import WALL_CELLS, KitchenParameters
 from cvqmpt_lab.scene.objects import (
-    Part,
+    Assembly,
     Span,
     articulated,
     bar_y,
@@ -35,33 +35,26 @@ def kitchen(
     "chewie_door_left", "chewie_door_right", "baker_door", "indigo_door_left", "indigo_door_right" and
     the sliders "{hitman,indigo}_drawer_{top,bottom}".
 
-    Parameters
-    ----------
-    parameters : KitchenParameters, optional
-        Dimensions; the published kitchen if left out.
-    door_angles : mapping of str to float, optional
-        Values of articulations by name, hinges [rad], drawers [m]; all others are closed (0).
+    parameters: dimensions; None: the published kitchen.
+    door_angles: values of articulations by name, hinges [rad], drawers [m]; all others are closed (0).
 
     Raises
     ------
-    UnknownChoiceError
-        If a name in `door_angles` is not an articulation.
-    InvalidInputError
-        If a value is outside its articulation's range.
+    UnknownChoiceError, InvalidInputError: no such articulation; a value outside its range.
     """
     p = KitchenParameters() if parameters is None else parameters
     parts = [
-        Part([*_room(p), *_range(p), *_hood(p)]),
-        Part(_wall_cabinets("sektion", p.left_y, p.sektion_bottom_z, p)),
+        Assembly([*_room(p), *_range(p), *_hood(p)]),
+        Assembly(_wall_cabinets("sektion", p.left_y, p.sektion_bottom_z, p)),
         _wall_door("baker_door", "sektion", 2, -1, p),
         _wall_door("chewie_door_right", "sektion", 0, -1, p),
         _wall_door("chewie_door_left", "sektion", 1, +1, p),
-        Part(_wall_cabinets("dagger", p.right_y, p.dagger_bottom_z, p)),
+        Assembly(_wall_cabinets("dagger", p.right_y, p.dagger_bottom_z, p)),
         _wall_door("dagger_door_left", "dagger", 1, +1, p),
         _wall_door("dagger_door_right", "dagger", 0, -1, p),
-        Part(_base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)),
+        Assembly(_base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)),
         *_hitman_drawers(p),
-        Part(_base_cabinet("indigo", p.right_y, (p.right_wall_y, p.right_y + p.base_width), p)),
+        Assembly(_base_cabinet("indigo", p.right_y, (p.right_wall_y, p.right_y + p.base_width), p)),
         *_indigo_drawers(p),
         _base_door("indigo_door_right", p.right_y, -1, p),
         _base_door("indigo_door_left", p.right_y + p.cabinet_width, +1, p),
@@ -143,7 +136,7 @@ def _wall_cabinets(row: str, right_y: float, bottom_z: float, p: KitchenParamete
     return pieces
 
 
-def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParameters) -> Part:
+def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParameters) -> Assembly:
     """Return the door of one wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
     row_y, bottom_z = {
         "dagger": (p.right_y, p.dagger_bottom_z),
@@ -162,7 +155,7 @@ def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParame
     return hinged(name, objects, (back_x, hinge_y), hinge_side, p)
 
 
-def _base_door(name: str, cell_y: float, hinge_side: int, p: KitchenParameters) -> Part:
+def _base_door(name: str, cell_y: float, hinge_side: int, p: KitchenParameters) -> Assembly:
     """Return a door of the right base cabinet, below its drawers, hinged at its left (+1) or right (-1)."""
     y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
     z = (p.base_cabinet_bottom_z - p.base_door_overhang, p.indigo_door_top_z)
@@ -191,7 +184,7 @@ def _base_cabinet(name: str, right_y: float, counter_y: Span, p: KitchenParamete
     ]
 
 
-def _hitman_drawers(p: KitchenParameters) -> list[Part]:
+def _hitman_drawers(p: KitchenParameters) -> list[Assembly]:
     """Return the two drawers, with trays, that fill the left base cabinet."""
     parts, top_z = [], p.base_front_top_z
     for place in ("top", "bottom"):
@@ -202,7 +195,7 @@ def _hitman_drawers(p: KitchenParameters) -> list[Part]:
     return parts
 
 
-def _indigo_drawers(p: KitchenParameters) -> list[Part]:
+def _indigo_drawers(p: KitchenParameters) -> list[Assembly]:
     """Return the two low drawers, without trays, above the doors of the right base cabinet."""
     parts, top_z = [], p.base_front_top_z
     for place in ("top", "bottom"):
@@ -222,7 +215,7 @@ def _drawer(
     handle_z: float,
     tray: bool,
     p: KitchenParameters,
-) -> Part:
+) -> Assembly:
     """Return a drawer: front panel, handle, two sides, back, bottom and perhaps a tray.
 
     `cabinet_y` is the right side of its cabinet, `drawer_z` the lower edge of the drawer's box.

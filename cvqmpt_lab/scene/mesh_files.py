@@ -23,8 +23,6 @@ ROOM = 20.0  # [m] within which at least half of a mesh must lie
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     """Read a mesh as vertices (k, 3) [m] of convex pieces; see `convex_pieces`.
 
-    Parameters
-    ----------
     scale: [m] of one unit of the file. A DAE file states its unit, which is applied before; which
         axis it calls up is not looked at, as for meshes of robots.
 

@@ -15,7 +15,7 @@ from cvqmpt_lab.scene.shapes import Box, Cylinder
 Span = tuple[float, float]
 
 
-class Part(NamedTuple):
+class Assembly(NamedTuple):
     """Pieces of furniture that move together, and how; None for fixed ones."""
 
     objects: list[SceneObject]
@@ -44,7 +44,7 @@ def handle(
 
 def hinged(
     name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters
-) -> Part:
+) -> Assembly:
     """Return a door with a vertical hinge: a left (+1) one opens to -door_range, a right (-1) one to +."""
     limits = (-p.door_range, 0.0) if hinge_side > 0 else (0.0, p.door_range)
     return articulated(name, "hinge", pose((*hinge_xy, 0.0)), limits, objects)
@@ -56,10 +56,10 @@ def articulated(
     T_world_joint: FloatArray,
     limits: Span,
     objects: list[SceneObject],
-) -> Part:
+) -> Assembly:
     """Return the objects with a closed (value 0) articulation that moves all of them."""
     moves = tuple(item.name for item in objects)
-    return Part(objects, Articulation(name, kind, T_world_joint, *limits, value=0.0, moves=moves))
+    return Assembly(objects, Articulation(name, kind, T_world_joint, *limits, value=0.0, moves=moves))
 
 
 def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObject:
@@ -103,12 +103,9 @@ Vector = tuple[float, float, float]
 class ObjectModel:
     """The collision shape of an object, and where shape and centre of mass lie in the link frame."""
 
-    shape: Box | Cylinder
-    """Centred on its own frame, parallel to the link frame."""
-    shape_centre: Vector
-    """Middle of the shape in the link frame [m]."""
-    com: Vector
-    """Centre of mass in the link frame [m]."""
+    shape: Box | Cylinder  # centred on its own frame, parallel to the link frame
+    shape_centre: Vector  # middle of the shape in the link frame [m]
+    com: Vector  # centre of mass in the link frame [m]
 
     def at_com(self, name: str, position_com: Sequence[float], yaw: float = 0.0) -> SceneObject:
         """Return the object with its centre of mass at `position_com` (3,) [m], turned by `yaw` [rad]."""

@@ -23,34 +23,23 @@ from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
 class SceneObject(Checked):
     """A named shape at a pose."""
 
-    name: Name
-    """Unique in its scene, e.g. "dagger_door_left/panel"."""
-    shape: Shape
-    """The geometry, in the object frame."""
-    T_world_object: Pose
-    """(4, 4), pose of the object frame in the world."""
-    obstacle: bool = True
-    """False: cameras see it, planners ignore it (the floor)."""
+    name: Name  # unique in its scene, e.g. "dagger_door_left/panel"
+    shape: Shape  # the geometry, in the object frame
+    T_world_object: Pose  # (4, 4), pose of the object frame in the world
+    obstacle: bool = True  # False: cameras see it, planners ignore it (the floor)
 
 
 @dataclass(frozen=True, eq=False)
 class Articulation(Checked):
     """A hinge or a slider that moves some objects of a scene."""
 
-    name: Name
-    """Unique among the scene's articulations, e.g. "dagger_door_left"."""
-    kind: Literal["hinge", "slider"]
-    """A hinge turns about the axis, a slider moves along it."""
-    T_world_joint: Pose
-    """(4, 4), pose of the joint frame in the world, whose z is the axis."""
-    lower: float
-    """Of its range, [rad] for a hinge, [m] for a slider."""
-    upper: float
-    """Of its range [rad or m]."""
-    value: float
-    """Where it is now [rad or m]."""
-    moves: tuple[Name, ...]
-    """Names of the objects it moves; the scene stores their poses at `value`."""
+    name: Name  # unique among the scene's articulations, e.g. "dagger_door_left"
+    kind: Literal["hinge", "slider"]  # a hinge turns about the axis, a slider moves along it
+    T_world_joint: Pose  # (4, 4), pose of the joint frame in the world, whose z is the axis
+    lower: float  # of its range, [rad] for a hinge, [m] for a slider
+    upper: float  # of its range [rad or m]
+    value: float  # where it is now [rad or m]
+    moves: tuple[Name, ...]  # names of the objects it moves; the scene stores their poses at `value`
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,13 +50,7 @@ class Articulation(Checked):
         self._check_range(self.value)
 
     def displacement(self, value: float) -> FloatArray:
-        """Return the (4, 4) world motion that carries the moved objects from `self.value` to `value`.
-
-        Raises
-        ------
-        InvalidInputError
-            If `value` is outside [lower, upper].
-        """
+        """Return the (4, 4) world motion that carries the moved objects from `self.value` to `value`, in its range."""
         self._check_range(value)
         change = value - self.value
         motion = pose((0.0, 0.0, 0.0), change) if self.kind == "hinge" else pose((0.0, 0.0, change))
@@ -87,8 +70,7 @@ class Articulation(Checked):
 class Scene(Checked):
     """Named objects and articulations; scenes with the same content are equal."""
 
-    name: Name
-    """What the scene is called in results."""
+    name: Name  # what the scene is called in results
     objects: tuple[SceneObject, ...]
     """Everything that cameras see, in a fixed order that is part of the content."""
     articulations: tuple[Articulation, ...] = ()
@@ -148,18 +130,17 @@ class Scene(Checked):
 
         Raises
         ------
-        UnknownChoiceError
-            If a name is not an object of the scene.
+        UnknownChoiceError: a name is not an object of the scene.
         """
         gone = {self[name].name for name in names}
-        kept = (
+        joints = (
             replace(item, moves=tuple(name for name in item.moves if name not in gone))
             for item in self.articulations
         )
         return replace(
             self,
             objects=tuple(item for item in self.objects if item.name not in gone),
-            articulations=tuple(item for item in kept if item.moves),
+            articulations=tuple(item for item in joints if item.moves),
         )
 
     def with_joint(self, name: str, value: float) -> "Scene":
@@ -167,10 +148,7 @@ class Scene(Checked):
 
         Raises
         ------
-        UnknownChoiceError
-            If there is no such articulation.
-        InvalidInputError
-            If `value` is outside its range.
+        UnknownChoiceError, InvalidInputError: there is no such articulation; `value` is outside its range.
         """
         joint = self.articulation(name)
         motion = joint.displacement(value)
@@ -193,7 +171,7 @@ class Scene(Checked):
 
 
 class SceneForm:
-    """A scene; in the file of a problem or task also the path of one that holds it (see `files.by_path`)."""
+    """A scene; in the file of a problem or task also the path of one that holds it (see `scene_files`)."""
 
     def read(self, value: Any, where: str) -> Scene:
         """Make the scene."""
@@ -213,17 +191,13 @@ class SceneForm:
 NamedScene = Annotated[Scene, SceneForm()]
 
 
-# Objects that the hand carries.
 @dataclass(frozen=True, eq=False)
 class Attachment(Checked):
     """A shape fixed to the robot's end effector."""
 
-    name: Name
-    """Unique among what the hand carries."""
-    shape: Shape
-    """The geometry, in the object frame."""
-    T_hand_object: Pose
-    """(4, 4), pose of the shape in the end-effector frame [m]."""
+    name: Name  # unique among what the hand carries
+    shape: Shape  # the geometry, in the object frame
+    T_hand_object: Pose  # (4, 4), pose of the shape in the end-effector frame [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -30,8 +30,6 @@ log = logging.getLogger(__name__)
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Json of a problem or task with the files read that its scene and attachments name.
 
-    Parameters
-    ----------
     data: not changed; its scene may be the path of a json file; what is no object with a shape by path stays as it is.
     folder: of the json file, from which paths go on.
 

@@ -1,4 +1,7 @@
-"""Whether points span a volume that collision code can work with."""
+"""Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and occupancy maps.
+
+A shape lives in its own frame; `SceneObject` places it in the world. Lengths are in [m].
+"""
 
 import itertools
 import math
@@ -6,28 +9,30 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name, Padding, Tagged
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
+Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]")]
+FINEST = 1e-3  # [m] edge of a map's cells, below which indices would be measuring noise
+FARTHEST_CELL = 1_000_000  # along an axis
 MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise
 FARTHEST = 1e4  # [m] that a corner may be from its frame
 
 
-def thickness(points: npt.NDArray[np.float64]) -> float:
+def thickness(points: FloatArray) -> float:
     """Extent [m] of points (n, 3) in the direction in which they extend least."""
     return float(np.ptp(points @ thin_direction(points)))
 
 
-def thin_direction(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def thin_direction(points: FloatArray) -> FloatArray:
     """Direction (3,) in which points (n, 3) extend least; a normal of their plane if they have one."""
     centred = points - points.mean(axis=0)
     return np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
-def check_volume(points: npt.NDArray[np.float64], what: str) -> None:
+def check_volume(points: FloatArray, what: str) -> None:
     """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision checks.
 
     Raises
@@ -46,51 +51,35 @@ def check_volume(points: npt.NDArray[np.float64], what: str) -> None:
         )
 
 
-# What stands in a json file in the place of a shape that a file of its own holds.
 @dataclass(frozen=True, eq=False)
 class CloudFile(Checked):
-    """Points of a file, see `clouds.READERS`, as a PointCloud."""
+    """In a json file in the place of a shape: points of a file, see `cloud_files.READERS`, as a PointCloud."""
 
-    path: Name
-    """Of the file, from the folder of the one that names it."""
-    radius: Length
-    """Of the ball around every point [m]."""
-    scale: Length = 1.0
-    """[m] of one unit of the file."""
+    path: Name  # of the file, from the folder of the one that names it
+    radius: Length  # of the ball around every point [m]
+    scale: Length = 1.0  # [m] of one unit of the file
 
 
 @dataclass(frozen=True, eq=False)
 class MapFile(Checked):
-    """Points of a file, see `clouds.READERS`, as the OccupancyMap of the cells that hold some."""
+    """Points of a file, see `cloud_files.READERS`, as the OccupancyMap of the cells that hold some."""
 
-    path: Name
-    """Of the file, from the folder of the one that names it."""
-    resolution: Length = 0.02
-    """Edge of the cells [m]."""
-    padding: Padding = 0.0
-    """Distance by which cells are swelled [m]."""
-    scale: Length = 1.0
-    """[m] of one unit of the file."""
+    path: Name  # of the file, from the folder of the one that names it
+    resolution: Length = 0.02  # edge of the cells [m]
+    padding: Padding = 0.0  # inflation radius of the cells [m]
+    scale: Length = 1.0  # [m] of one unit of the file
 
 
 @dataclass(frozen=True, eq=False)
 class MeshFile(Checked):
-    """A mesh of a file, see `meshes.KINDS`, as one ConvexMesh or several."""
+    """A mesh of a file, see `mesh_files.KINDS`, as one ConvexMesh or several."""
 
-    path: Name
-    """Of the file, from the folder of the one that names it."""
-    scale: Length = 1.0
-    """[m] of one unit of the file."""
+    path: Name  # of the file, from the folder of the one that names it
+    scale: Length = 1.0  # [m] of one unit of the file
 
 
 SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
 """By the "type" that json calls them."""
-
-
-# Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and occupancy maps.
-Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]")]
-FINEST = 1e-3  # [m] edge of a map's cells, below which indices would be measuring noise
-FARTHEST_CELL = 1_000_000  # along an axis
 
 
 class WholeNumbers(Array):
@@ -115,34 +104,29 @@ class WholeNumbers(Array):
 class Box(Checked):
     """A box centred on its frame, edges along the axes."""
 
-    size: tuple[Length, Length, Length]
-    """Full edge lengths along x, y, z [m]."""
+    size: tuple[Length, Length, Length]  # full edge lengths along x, y, z [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Checked):
     """A cylinder centred on its frame, axis along z."""
 
-    radius: Length
-    """[m]."""
-    height: Length
-    """Full height [m]."""
+    radius: Length  # [m]
+    height: Length  # full height [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Checked):
     """A sphere centred on its frame."""
 
-    radius: Length
-    """[m]."""
+    radius: Length  # [m]
 
 
 @dataclass(frozen=True, eq=False)
 class ConvexMesh(Checked):
     """The convex hull of some points."""
 
-    vertices: Points
-    """(n, 3), four or more, not all in one plane [m]."""
+    vertices: Points  # (n, 3), four or more, not all in one plane [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -153,10 +137,8 @@ class ConvexMesh(Checked):
 class PointCloud(Checked):
     """An obstacle made of points, each inflated to a ball."""
 
-    points: Points
-    """(n, 3), ball centres [m]."""
-    radius: Length
-    """Of every ball [m]."""
+    points: Points  # (n, 3), ball centres [m]
+    radius: Length  # of every ball [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -170,10 +152,8 @@ class OccupancyMap(Checked):
 
     cells: Annotated[FloatArray, WholeNumbers((None, 3), "whole numbers i, j, k of cells")]
     """(k, 3); cell (i, j, k) reaches from resolution * (i, j, k) to resolution * (i + 1, j + 1, k + 1)."""
-    resolution: Length = 0.02
-    """Edge of every cube [m]."""
-    padding: Padding = 0.0
-    """Distance by which every cube is swelled, to all sides [m]."""
+    resolution: Length = 0.02  # edge of every cube [m]
+    padding: Padding = 0.0  # inflation radius of every cube, to all sides [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -213,8 +193,7 @@ def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
 
     Raises
     ------
-    InvalidInputError
-        If the shape is round, a point cloud or a map, and therefore has no corners.
+    InvalidInputError: the shape is round, a point cloud or a map, and therefore has no corners.
     """
     if isinstance(shape, Box):
         return 0.5 * np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * np.array(shape.size)
