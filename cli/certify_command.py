@@ -13,10 +13,10 @@ import numpy as np
 from cli.options import positive
 from cli.robot_options import add_problem, problem_asked
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind
+from cvqmpt_lab.collision.exact import ROUNDING
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import DryRun, dry_run
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.exact_checker import ROUNDING
 from cvqmpt_lab.trajectory.trajectory_files import read_motion
 
 EXAMPLES = (

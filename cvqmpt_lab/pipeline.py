@@ -10,8 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
 from cvqmpt_lab.methods.method import Method, Stages
 from cvqmpt_lab.methods.table import planner_named, require_fit
 from cvqmpt_lab.planning.goals import sample_goals

@@ -31,16 +31,15 @@ import numpy as np
 from cvqmpt_lab.codec.documents import Document
 from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Schema
 from cvqmpt_lab.codec.plain import mapping, unique
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.report import bound_usage
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import seen_from
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.project import projection_scratch, reach_poses
+from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, stack_regions
-from cvqmpt_lab.kernels.manifold.projection import projection_scratch, reach_poses
-from cvqmpt_lab.kernels.manifold.regions import Regions
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 
 TOLERANCE = 1e-6  # [m, rad] on the pose
 MAX_ITERATIONS = 20

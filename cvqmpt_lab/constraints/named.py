@@ -8,8 +8,7 @@ import numpy as np
 
 from cvqmpt_lab.codec.forms import Schema, Such
 from cvqmpt_lab.codec.plain import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
-from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain, upright
 from cvqmpt_lab.errors import InvalidInputError, nearest, shown
 from cvqmpt_lab.poses import Placement, Pose, pose
 

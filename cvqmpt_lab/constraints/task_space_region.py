@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
+from cvqmpt_lab.codec.forms import FloatArray, Name, Schema, numbers
 from cvqmpt_lab.codec.plain import Checked
+from cvqmpt_lab.constraints.project import project, projection_scratch
+from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.kernels.manifold.projection import project, projection_scratch
-from cvqmpt_lab.kernels.manifold.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.poses import Pose, rotation_matrices
 from cvqmpt_lab.robot.robot import Robot
 
@@ -208,3 +208,45 @@ def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: floa
         lower=bounds[:, 0] + inset,
         upper=bounds[:, 1] - inset,
     )
+
+
+# Task-space regions that hang on something the robot moves (TSR chains; Berenson et al. 2011).
+@dataclass(frozen=True, eq=False)
+class TaskSpaceRegionChain(TaskSpaceRegion):
+    """Poses of the end effector e seen from a frame w that a link of the robot carries, within bounds.
+
+    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
+    through one region to the end effector. Those joints are joints of the robot (see
+    `with_articulated_object`) and free within their limits.
+    `T0_w` is the pose of w in the base frame, so that `sample_pose` gives poses in the base frame too.
+    """
+
+    base: Name
+    """Name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"."""
+
+    def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
+        """Pose row that carries frame w, and T_link_w (4, 4); UnknownChoiceError when there is no such base."""
+        row, T_link_base = robot.link_of(self.base)
+        return row, T_link_base @ self.T0_w
+
+    def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """T_world_w (k, 4, 4) at configurations q (k, n), by pinocchio."""
+        return robot.poses(q, self.base) @ self.T0_w
+
+    def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
+        """The region in the world while the base stands at a pose (4, 4)."""
+        return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw)
+
+
+# What the prediction may ask of a constraint F(q) = 0.
+class Constraint(Protocol):
+    """A constraint function on configurations, residual and Jacobian together.
+
+    A state satisfies it when |residual(q)| <= tolerance.
+    """
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        """F(q), (m,) for one configuration (n,), (b, m) for a batch (b, n)."""
+
+    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """F(q) and dF/dq, (m, n) or (b, m, n); rows inside their bounds are zero unless full."""

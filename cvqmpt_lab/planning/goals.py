@@ -5,6 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import (
     ATTEMPTS,
     MAX_ITERATIONS,
@@ -14,9 +16,8 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
     GoalSample,
     pose_regions,
 )
+from cvqmpt_lab.constraints.project import projection_scratch
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
-from cvqmpt_lab.kernels.manifold.projection import projection_scratch
 from cvqmpt_lab.kernels.search.reach import (
     COLLIDING,
     UNREACHABLE,
@@ -25,10 +26,9 @@ from cvqmpt_lab.kernels.search.reach import (
     Seeds,
     reach_free,
 )
-from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.exact_shapes import reach_with
 
 SEEDS = 8192  # configurations anywhere, made once a robot
 SEEDS_NEAR = 512  # configurations around a given one

@@ -4,9 +4,9 @@ from collections import OrderedDict
 
 import numpy as np
 
+from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.kernels.search.sight import Sight, fill_distances, judge_motions
-from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment

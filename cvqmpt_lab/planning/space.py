@@ -4,19 +4,18 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
+from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
+from cvqmpt_lab.collision.geometry import swing
+from cvqmpt_lab.constraints.project import projection_scratch
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.jit import check_bundle
-from cvqmpt_lab.kernels.collision.geometry import swing
-from cvqmpt_lab.kernels.manifold.projection import projection_scratch
 from cvqmpt_lab.kernels.search import space_arrays as kernels
 from cvqmpt_lab.kernels.search.motion import refine_and_check
 from cvqmpt_lab.kernels.search.single_state import constraint_one, project_one, valid_one
-from cvqmpt_lab.planning.collision_arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.planning.result import Counters, JointPath
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.exact_shapes import reach_with
 
 BACKENDS = ("compiled", "exact")
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
+from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 
 DIGEST_DECIMALS = 9

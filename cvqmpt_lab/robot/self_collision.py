@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, make_folder, read_text, write_text
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, link_poses
+from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry
 
 SAMPLES = 2000  # Random configurations that decide

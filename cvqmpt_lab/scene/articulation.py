@@ -9,7 +9,7 @@ from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
-from cvqmpt_lab.scene.exact_shapes import coal_shape, shape_distance
+from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 

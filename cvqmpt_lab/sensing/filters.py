@@ -8,7 +8,7 @@ import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 
 DENSE = 8  # grids of at most this many cells a point are counted cell by cell, which needs no sorting

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.forms import FloatArray
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm

@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import map_of_points
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.depth import Capture

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import prism_vertices
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import cells_of, merged
 from cvqmpt_lab.scene.scene import SceneObject

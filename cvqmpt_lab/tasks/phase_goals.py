@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
 from cvqmpt_lab.tasks.world import World
 

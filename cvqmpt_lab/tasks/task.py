@@ -20,7 +20,7 @@ from cvqmpt_lab.codec.documents import Document
 from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Tagged
 from cvqmpt_lab.codec.plain import Checked, located, unique
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from

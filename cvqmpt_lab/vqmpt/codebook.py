@@ -12,7 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError, require_torch
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.config import EPSILON
 from cvqmpt_lab.vqmpt.inputs import SerialChain

@@ -18,7 +18,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.constraints.task_space_region import Constraint
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.kernels.search import tree_growth as kernels
 from cvqmpt_lab.methods.loaded import seen_dictionary
@@ -23,7 +24,6 @@ from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.measurement import CALIBRATION, CpuTimes, Figure, Measurement, measured

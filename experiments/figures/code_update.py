@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.constraints.task_space_region import Constraint
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import codebook_of
 from cvqmpt_lab.methods.sequences import STEPS

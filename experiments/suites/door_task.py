@@ -11,16 +11,15 @@ from functools import lru_cache
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
-from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 from experiments.suites.place_task import DOOR, UnsolvableProblem

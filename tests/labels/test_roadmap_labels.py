@@ -3,11 +3,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.shards import FULL_SCALE, RoadmapGraph, finished_shards, read_roadmap_shards

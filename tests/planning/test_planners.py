@@ -13,6 +13,7 @@ import pytest
 from process_memory import in_use
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -26,7 +27,6 @@ from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from experiments.rows import path_hash
 
 LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.sight import FARTHEST, NEAREST
-from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.sight import CELL, Eyes
 from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.training.edge_model import fit_edge_model
 

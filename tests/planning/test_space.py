@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision import arrays as collision_arrays
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning import collision_arrays
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.poses import pose

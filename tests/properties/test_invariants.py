@@ -12,8 +12,13 @@ from properties.random_arms import ARMS, WIDTHS, arm, problem_around
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
-from cvqmpt_lab.constraints.task_space_region import FREE, TOLERANCE, RegionConstraint, TaskSpaceRegion
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import (
+    FREE,
+    TOLERANCE,
+    RegionConstraint,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+)
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.birrt import BiRRT

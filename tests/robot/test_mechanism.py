@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.scene.articulation import DEEPEST, REST_GAP, take_out
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
-from cvqmpt_lab.scene.exact_shapes import coal_shape, shape_distance
+from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box

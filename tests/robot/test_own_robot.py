@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.methods.table import planner_named
@@ -19,7 +20,6 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.robot import LeftOut
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 
@@ -144,7 +144,7 @@ with warnings.catch_warnings(record=True) as caught:
     print(jit.folder(), jit.compiled_before())
 print([str(w.message) for w in caught if "kernel cache" in str(w.message)])
 import numpy as np
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import load_robot
 robot = load_robot("tests/data/slider_arm.urdf", "tool")
 q = np.array([0.1, 0.2, -0.3, 0.4])

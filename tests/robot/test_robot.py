@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
 from cvqmpt_lab.robot.hulls import hull_vertices
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.loading import panda as load_panda
 

@@ -5,10 +5,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import panda, robot_from_source
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means

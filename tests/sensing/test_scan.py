@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.filters import BoxCrop, near_robot

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.path_labels import SHAPES
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.families import FAMILIES, family_scene, random_scene
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Scene, SceneObject

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import numpy as np
 
+from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
-from cvqmpt_lab.kernels.manifold.regions import residual
 from cvqmpt_lab.kernels.search.space_arrays import Space, posed_state_valid, project_state
+from cvqmpt_lab.robot.kinematics import forward_kinematics
 
 STOPPED, ADVANCED, REACHED = range(3)
 DEVIATION = 2.0  # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight

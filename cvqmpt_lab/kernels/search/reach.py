@@ -9,12 +9,12 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.collision.checker import FREE, first_contact
+from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
+from cvqmpt_lab.constraints.project import ProjectionScratch, newton
+from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
-from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
-from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, newton
-from cvqmpt_lab.kernels.manifold.regions import Regions
+from cvqmpt_lab.robot.kinematics import Kinematics
 
 REACHED, UNTRIED, UNREACHABLE, COLLIDING = range(4)
 VISIT = 4  # attempts at a pose before the next one's turn

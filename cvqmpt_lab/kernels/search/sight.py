@@ -7,8 +7,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.kernels.search.small_network import SmallNetwork, answer
+from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 REACH = 0.25  # [m] distances to the cloud are cut off here: more than the largest ball and FARTHEST

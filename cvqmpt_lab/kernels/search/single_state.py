@@ -4,10 +4,10 @@ from typing import Annotated
 
 import numpy as np
 
+from cvqmpt_lab.constraints.regions import jacobian, residual
 from cvqmpt_lab.jit import entry
-from cvqmpt_lab.kernels.manifold.kinematics import forward_kinematics
-from cvqmpt_lab.kernels.manifold.regions import jacobian, residual
 from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
+from cvqmpt_lab.robot.kinematics import forward_kinematics
 
 
 @entry

@@ -10,12 +10,12 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.collision.checker import FREE, first_contact
+from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
+from cvqmpt_lab.constraints.project import ProjectionScratch, project
+from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.jit import call_address, entry, kernel
-from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
-from cvqmpt_lab.kernels.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
-from cvqmpt_lab.kernels.manifold.projection import ProjectionScratch, project
-from cvqmpt_lab.kernels.manifold.regions import Regions
+from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of Space.counters
 DOUBT = 0.2  # [rad] around a doubtful configuration

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.kernels.collision.geometry import swing
-from cvqmpt_lab.kernels.manifold.kinematics import link_poses
+from cvqmpt_lab.collision.arrays import robot_arrays
+from cvqmpt_lab.collision.geometry import swing
 from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.kernels.search.space_arrays import states_valid
-from cvqmpt_lab.planning.collision_arrays import robot_arrays
 from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
 from experiments.bench.state_checks import near_contact

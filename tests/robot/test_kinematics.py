@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from cvqmpt_lab.kernels.manifold.trigonometry import sine_and_cosine
+from cvqmpt_lab.robot.kinematics import sine_and_cosine
 
 
 @njit

@@ -10,10 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
-from cvqmpt_lab.constraints.task_space_region_chain import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import (
+    TOLERANCE,
+    RegionConstraint,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+)
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -21,7 +26,6 @@ from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box

@@ -8,9 +8,9 @@ finite count as collisions.
 
 import numpy as np
 
+from cvqmpt_lab.collision.distance_grid import cell_of, known_distance
+from cvqmpt_lab.collision.separation import box_separated, compose, separated
 from cvqmpt_lab.jit import kernel
-from cvqmpt_lab.kernels.collision.distance_grid import cell_of, known_distance
-from cvqmpt_lab.kernels.collision.separation import box_separated, compose, separated
 
 FREE = -1
 

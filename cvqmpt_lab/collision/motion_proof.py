@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker
 
 LONGEST = 0.2
 """[rad] half of a stretch that is tried first."""

@@ -7,12 +7,12 @@ from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.collision.checker import FREE, first_contact
-from cvqmpt_lab.kernels.collision.clusters import MOST_GRAINS, Cloud, cluster_grains
-from cvqmpt_lab.kernels.collision.distance_grid import RANGE, cell_of, known_distance
-from cvqmpt_lab.kernels.collision.geometry import robot_geometry, scene_geometry
-from cvqmpt_lab.kernels.collision.separation import (
+from cvqmpt_lab.collision.checker import FREE, first_contact
+from cvqmpt_lab.collision.clusters import MOST_GRAINS, Cloud, cluster_grains
+from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
+from cvqmpt_lab.collision.geometry import robot_geometry, scene_geometry
+from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
+from cvqmpt_lab.collision.separation import (
     BOX,
     CYLINDER,
     HULL,
@@ -21,8 +21,8 @@ from cvqmpt_lab.kernels.collision.separation import (
     distance,
     separating_gap,
 )
-from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline, pack_shapes
-from cvqmpt_lab.kernels.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
+from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
+from cvqmpt_lab.errors import InvalidInputError
 
 first_contact, cell_of, known_distance = map(from_python, (first_contact, cell_of, known_distance))
 distance, separating_gap = map(from_python, (distance, separating_gap))

@@ -10,8 +10,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.collision.clusters import Cloud, Clusters, cluster_grains
-from cvqmpt_lab.kernels.collision.distance_grid import (
+from cvqmpt_lab.collision.clusters import Cloud, Clusters, cluster_grains
+from cvqmpt_lab.collision.distance_grid import (
     CENTRE,
     COLUMNS,
     HALF,
@@ -20,16 +20,16 @@ from cvqmpt_lab.kernels.collision.distance_grid import (
     DistanceGrid,
     distance_grid,
 )
-from cvqmpt_lab.kernels.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
-from cvqmpt_lab.kernels.collision.shapes import ShapeSpec, outline, pack_shapes
-from cvqmpt_lab.kernels.collision.sphere_cover import (
+from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
+from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
+from cvqmpt_lab.collision.sphere_cover import (
     LARGEST_RADIUS,
     MOST_PIECES,
     Piece,
     cut_into_pieces,
     sphere_tree,
 )
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics
+from cvqmpt_lab.robot.kinematics import Kinematics
 
 CELL = 0.04  # [m] of the distance grid
 

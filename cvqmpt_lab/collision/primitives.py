@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.collision.separation import (
+from cvqmpt_lab.collision.separation import (
     BOX,
     CYLINDER,
     HULL,
@@ -16,7 +15,8 @@ from cvqmpt_lab.kernels.collision.separation import (
     SPHERE,
     ConvexShapes,
 )
-from cvqmpt_lab.kernels.collision.sphere_cover import convex_hull
+from cvqmpt_lab.collision.sphere_cover import convex_hull
+from cvqmpt_lab.errors import InvalidInputError
 
 _PRISM_SIDES = 16
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
+from cvqmpt_lab.constraints.project import project_batch, projection_scratch
 from cvqmpt_lab.constraints.task_space_region import (
     MAX_ITERATIONS,
     TOLERANCE,
@@ -14,7 +15,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     stack_regions,
     upright,
 )
-from cvqmpt_lab.kernels.manifold.projection import project_batch, projection_scratch
 
 
 def region_at(position, half):

@@ -11,9 +11,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.kernels.manifold.kinematics import Kinematics, forward_kinematics
-from cvqmpt_lab.kernels.manifold.regions import Regions, jacobian, residual
+from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 DAMPING = 1e-9  # relative to the trace of J J^T
 LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm

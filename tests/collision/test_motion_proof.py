@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cvqmpt_lab.scene.exact_checker import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.motion_proof import prove_free
 from cvqmpt_lab.scene.families import random_scene
-from cvqmpt_lab.scene.motion_proof import prove_free
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud
 from experiments.suites.place_task import carried_can

@@ -1,10 +1,11 @@
+"""The collision arrays of robots, kept on disk."""
+
 import numpy as np
 
-from cvqmpt_lab.kernels.collision import geometry
-from cvqmpt_lab.kernels.collision.separation import BOX
-from cvqmpt_lab.kernels.collision.shapes import ShapeSpec
-from cvqmpt_lab.planning import stored_geometry
-from cvqmpt_lab.planning.stored_geometry import stored_robot_geometry
+from cvqmpt_lab.collision import arrays, geometry
+from cvqmpt_lab.collision.arrays import stored_robot_geometry
+from cvqmpt_lab.collision.primitives import ShapeSpec
+from cvqmpt_lab.collision.separation import BOX
 
 
 def arm(length):
@@ -12,7 +13,7 @@ def arm(length):
     return shapes, [0, 1, 3], [(0, 2)]
 
 
-def arrays(bundle):
+def members(bundle):
     return [*bundle.pieces, *bundle[1:]]
 
 
@@ -21,13 +22,11 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     made = []
-    monkeypatch.setattr(
-        stored_geometry, "robot_geometry", lambda *a: made.append(a) or geometry.robot_geometry(*a)
-    )
+    monkeypatch.setattr(arrays, "robot_geometry", lambda *a: made.append(a) or geometry.robot_geometry(*a))
     first = stored_robot_geometry(*arm(0.6))
     again = stored_robot_geometry(*arm(0.6))
     assert len(made) == 1 and type(again) is type(first) and type(again.largest) is float
-    for one, other in zip(arrays(first), arrays(again), strict=True):
+    for one, other in zip(members(first), members(again), strict=True):
         np.testing.assert_array_equal(one, other)
         assert np.asarray(one).dtype == np.asarray(other).dtype
     (path,) = (tmp_path / "cvqmpt_lab" / "robot_geometry").iterdir()

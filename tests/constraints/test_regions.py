@@ -7,7 +7,7 @@ import pytest
 from compiled_kernels import from_python
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.kernels.manifold.rotation import log_map_factor, rotation_vector
+from cvqmpt_lab.constraints.regions import log_map_factor, rotation_vector
 
 log_map_factor, rotation_vector = map(from_python, (log_map_factor, rotation_vector))
 

@@ -1,0 +1,1 @@
+"""Whether states and motions are free of collision: compiled and conservative, and exact by coal."""

@@ -1,1 +1,0 @@
-"""Conservative collision checking: convex pieces, distance grid, separation."""

@@ -1,1 +1,0 @@
-"""Kinematics, task-space regions and projection onto them."""
