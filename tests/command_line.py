@@ -45,3 +45,8 @@ def run(words, before=None, code=0, **changes):
     _, err = process.communicate()
     assert process.returncode == code and "Traceback" not in err, (words, process.returncode, err[-400:])
     return err
+
+
+def run_here(words, code=0):
+    """Run `cvqmpt WORDS` in this process."""
+    assert main([*map(str, words)]) == code

@@ -7,56 +7,20 @@ import xml.etree.ElementTree as ElementTree
 from hypothesis import strategies as st
 
 LIES = (b"999999999999", b"-1", b"0", b"1e300", b"nan", b"4294967295", b"1e-300", b"''", b"null")
-PIECES = (
-    b"[",
-    b"{",
-    b"]",
-    b": ",
-    b"\n- ",
-    b"&a ",
-    b"*a",
-    b"!!set ",
-    b"\t",
-    b"#",
-    b"'",
-    b"---\n",
-    b"\xff",
-    b"\0",
-)
+PIECES = tuple(b"[|{|]|: |\n- |&a |*a|!!set |\t|#|'|---\n|\xff|\0".split(b"|"))
 NASTY = (
     *(None, True, False, [], {}, "", " ", "nan", "x" * 5000, "a\nb\x1b[31m", "\x00", "\ud800"),
-    *("../../etc/passwd", "/etc/passwd", "/dev/zero", "~", "=1+1", "$(id)", "file:///etc/passwd", "1e3"),
+    *"../../etc/passwd /etc/passwd /dev/zero ~ =1+1 $(id) file:///etc/passwd 1e3".split(),  # noqa: SIM905
     *(0, -1, 1, 2, 255, 2**31, 2**63, 2**64, 10**400, -(10**18)),
     *(0.0, -0.0, 5e-324, 1e-300, 1e-9, 2e-4, 0.5, 1.0000001, 7.0, 100.0, 1e4, 1e9, 1e300, 1.7e308),
     *([[]], [None], [0.0] * 3, [float("nan")] * 6, [[1.0, -1.0]] * 6, [0.0] * 2000, [[0.0] * 3] * 400),
-    *(
-        {"type": "box"},
-        {"type": []},
-        {"xyz": [0, 0, 0], "rpy": [0, 0, 0]},
-        {"_comment": {}},
-        {"name": "panda"},
-    ),
+    *({"type": "box"}, {"type": []}, {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, {"_comment": {}}),
 )
 SCALES = tuple(sign * 10.0**power for power in range(-12, 13) for sign in (1.0, -1.0))
 WORDS = (
-    *(
-        "",
-        "0",
-        "-1",
-        "nan",
-        "inf",
-        "1e308",
-        "5e-324",
-        "1e-9",
-        "100",
-        "0 0 0",
-        "1 0 0",
-        "0 0 1e300",
-        "1 2",
-        "x",
-    ),
-    *("base", "tool", "../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "package://x/y.stl"),
-    *("revolute", "prismatic", "continuous", "fixed", "floating", "planar", "a b", "é", "x" * 5000),
+    *"0 -1 nan inf 1e308 5e-324 1e-9 100 x base tool é revolute prismatic continuous fixed floating planar".split(),  # noqa: SIM905
+    *"../../etc/passwd /etc/passwd file:///etc/passwd package://x/y.stl".split(),  # noqa: SIM905
+    *("", "0 0 0", "1 0 0", "0 0 1e300", "1 2", "a b", "x" * 5000),
 )
 ENTITIES = tuple(
     b'<?xml version="1.0"?><!DOCTYPE r [%s]>' % entities

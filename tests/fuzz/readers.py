@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.stats  # noqa: F401  # tables import it late, which would count as time of the first file
+import torch
 import trimesh
 from cloud_files import GOOD, npy
 from fuzz.mutation import damaged, hostile_json, hostile_xml
@@ -21,6 +22,7 @@ from hypothesis import strategies as st
 from made_rows import a_row
 from PIL import Image
 from properties.random_arms import random_urdf
+from training_data import write_dataset
 
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.motion_check import dry_run
@@ -42,7 +44,11 @@ from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from cvqmpt_lab.trajectory.trajectory_files import read_motion
+from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.import_published import read_tensors
+from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.weights import read_model
 from paper_tables.suite_tables import render_directory
 
@@ -60,9 +66,6 @@ class Reader(NamedTuple):
     ]  # reads a file and uses what it says; AssertionError when it is read wrongly
     long: int = 100_000  # files of the long form
     seconds: float = 1.0  # of processor time that a file may take
-
-
-# ---- problems, motions, tasks, robots
 
 
 @cache
@@ -102,12 +105,13 @@ def execute(path):
     dry_run(PlanningProblem.from_dict(json.loads(problem())), read_motion(path))
 
 
+def hostile_robot(urdf):
+    return st.integers(0, 99).map(random_urdf).flatmap(hostile_xml)
+
+
 def move(path):
     robot = load_robot(path, "tool")
     robot.poses(robot.random_configurations(np.random.default_rng(0), 3))
-
-
-# ---- clouds, meshes, cameras
 
 
 def cloud(path):
@@ -166,9 +170,6 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 POSE = {"translation": {"x": 0.1, "y": -0.5, "z": 1.2}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}}
 
 
-# ---- results
-
-
 def rows():
     made = [a_row(str(k), name, t_total_s=0.1, vertices=7) for k in range(3) for name in ("birrt", "cvq-mpt")]
     return csv_text(made).encode()
@@ -186,17 +187,10 @@ def render(path):
     render_directory(path.parent)
 
 
-# ---- weights and training data
-
-
 @cache
 def network():
     """Description and tensors of a small MPNet."""
     import torch
-
-    from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
-    from cvqmpt_lab.vqmpt.config import MPNetConfig
-    from cvqmpt_lab.vqmpt.mpnet import MPNet
 
     sizes = MPNetConfig(n_points=20, encoder_widths=(8,), code_dim=4, planner_widths=(8, 6))
     torch.manual_seed(0)
@@ -206,19 +200,11 @@ def network():
         return (folder / "config.json").read_bytes(), (folder / "mpnet.safetensors").read_bytes()
 
 
-def description():
-    return network()[0]
-
-
-def tensors():
-    return network()[1]
-
-
 def weights(path):
     """Read weights, one of whose files is hostile; the description states the sha256 of the tensors there are."""
-    beside, content = "mpnet.safetensors", tensors()
+    beside, content = "mpnet.safetensors", network()[1]
     if path.name == beside:
-        stated = json.loads(description())
+        stated = json.loads(network()[0])
         stated["sha256"]["mpnet"] = hashlib.sha256(path.read_bytes()).hexdigest()
         beside, content = "config.json", json.dumps(stated).encode()
     (path.parent / beside).write_bytes(content)
@@ -237,8 +223,6 @@ class Runs:
 
 def checkpoint():
     """As torch writes it."""
-    import torch
-
     state = {f"layer.{k}": torch.arange(12.0).reshape(3, 4) for k in range(4)}
     return saved("a.pkl", partial(torch.save, {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}}))
 
@@ -255,25 +239,13 @@ def damaged_or_running(content):
     return st.one_of(*[damaged(content)] * 9, running)
 
 
-def checkpoint_of_others(path):
-    from cvqmpt_lab.vqmpt.import_published import read_tensors
-
-    read_tensors(path)
-
-
 @cache
 def dataset():
     """Content by name of a small folder of training data."""
-    from training_data import write_dataset
-
     with tempfile.TemporaryDirectory() as folder:
         write_dataset(Path(folder), shards=((20, 1),), paths_per_scene=2)
         files = [path for path in Path(folder).rglob("*") if path.is_file()]
         return {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-
-def part_of_dataset(name):
-    return dataset()[name]
 
 
 def training_data(path):
@@ -285,19 +257,15 @@ def training_data(path):
     open_dataset(folder, verify=False)
 
 
-def constant(content):
-    return content
-
-
 FEW = 20_000
 READERS = (
     Reader("problems", "problem.json", problem, hostile_json, plan, FEW),
     Reader("paths and trajectories", "motion.csv", partial(motion, ".csv"), damaged, execute, FEW // 2),
     Reader("paths and trajectories", "motion.json", partial(motion, ".json"), hostile_json, execute, FEW // 2),
     Reader("tasks", "task.json", (DATA / "task-1.json").read_bytes, hostile_json, Task.load, FEW),
-    Reader("robots", "arm.urdf", partial(random_urdf, 3), hostile_xml, move, FEW),
+    Reader("robots", "arm.urdf", partial(random_urdf, 3), hostile_robot, move, FEW),
     *(
-        Reader("clouds", name, partial(constant, GOOD[name]), damaged, cloud, 14_000)
+        Reader("clouds", name, partial(bytes, GOOD[name]), damaged, cloud, 14_000)
         for name in ("a.pcd", "b.pcd", "c.pcd", "a.ply", "b.ply", "a.npy", "a.xyz")
     ),
     *(
@@ -308,16 +276,16 @@ READERS = (
     Reader("depth images and cameras", "depth.png", partial(depth, ".png"), damaged, capture, FEW),
     Reader("depth images and cameras", "depth.npy", partial(depth, ".npy"), damaged, capture, FEW),
     Reader("depth images and cameras", "lens.json", lens, hostile_json, intrinsics, FEW),
-    Reader("depth images and cameras", "lens.yaml", partial(constant, LENS_OF_ROS), damaged, intrinsics, FEW),
-    Reader("depth images and cameras", "pose.json", partial(constant, json.dumps({"T_world_camera": POSE}).encode()),
+    Reader("depth images and cameras", "lens.yaml", partial(bytes, LENS_OF_ROS), damaged, intrinsics, FEW),
+    Reader("depth images and cameras", "pose.json", json.dumps({"T_world_camera": POSE}).encode,
            hostile_json, extrinsics, FEW),
     Reader("rows and provenance", RUNS_FILE, rows, damaged, read_rows),
     Reader("rows and provenance", PROVENANCE_FILE, record, hostile_json, render),
-    Reader("weights", "config.json", description, hostile_json, weights, FEW // 2),
-    Reader("weights", "mpnet.safetensors", tensors, damaged, weights, FEW // 2),
-    Reader("checkpoints of others", "best_model.pkl", checkpoint, damaged_or_running, checkpoint_of_others),
+    Reader("weights", "config.json", lambda: network()[0], hostile_json, weights, FEW // 2),
+    Reader("weights", "mpnet.safetensors", lambda: network()[1], damaged, weights, FEW // 2),
+    Reader("checkpoints of others", "best_model.pkl", checkpoint, damaged_or_running, read_tensors),
     *(
-        Reader("training data", name, partial(part_of_dataset, name), mutated, training_data, FEW // 3)
+        Reader("training data", name, partial(lambda name: dataset()[name], name), mutated, training_data, FEW // 3)
         for name, mutated in (("dataset.json", hostile_json), ("shards.csv", damaged), ("shards/000000.npz", damaged))
     ),
 )  # fmt: skip

@@ -4,7 +4,7 @@ import subprocess
 import time
 
 import pytest
-from command_line import run
+from command_line import run, run_here
 from made_rows import differences
 
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
@@ -14,7 +14,6 @@ SOME = ("birrt", "ompl-projected", "mpnet", "cvq-mpt")
 JUMPING = """
 #define _GNU_SOURCE
 #include <dlfcn.h>
-#include <sys/time.h>
 #include <time.h>
 static long jump(void) { static unsigned n; n = n * 1103515245u + 12345u; return (long)(n >> 8) % 7200 - 3600; }
 int clock_gettime(clockid_t id, struct timespec *t) {
@@ -23,24 +22,12 @@ int clock_gettime(clockid_t id, struct timespec *t) {
     if (id == CLOCK_REALTIME) t->tv_sec += jump();
     return code;
 }
-int gettimeofday(struct timeval *t, void *zone) {
-    struct timespec now;
-    int code = clock_gettime(CLOCK_REALTIME, &now);
-    t->tv_sec = now.tv_sec, t->tv_usec = now.tv_nsec / 1000;
-    return code;
-}
-time_t time(time_t *t) {
-    struct timespec now;
-    clock_gettime(CLOCK_REALTIME, &now);
-    if (t) *t = now.tv_sec;
-    return now.tv_sec;
-}
 """  # between a process and its C library: the date jumps by up to an hour whenever it is asked for
 
 
-def rows_of(out, suite, problems, planners, iterations, jobs=1, cutoff=60, **environment):
+def rows_of(out, suite, problems, planners, iterations, run=run, jobs=1, **environment):
     words = ("--problems", problems, "--planners", ",".join(planners), "--iterations", iterations)
-    run(("reproduce", suite, *words, "--cutoff", cutoff, "--jobs", jobs, "--out", out), **environment)
+    run(("reproduce", suite, *words, "--cutoff", 60, "--jobs", jobs, "--out", out), **environment)
     return read_rows(out / RUNS_FILE)
 
 
@@ -49,7 +36,7 @@ def repeated(what, suite, planners, iterations, ci, long):
     return pytest.param(suite, planners, iterations, marks=mark, id=what)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.parametrize(  # here, and in a process of two workers, more threads and another hash seed
     ("suite", "planners", "iterations"),
     [
         repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
@@ -58,11 +45,10 @@ def repeated(what, suite, planners, iterations, ci, long):
     ],
 )
 def test_rows_repeat(suite, planners, iterations, tmp_path, trials):
-    one, several = (
-        rows_of(tmp_path / str(jobs), suite, trials, planners, iterations, jobs,
-                OPENBLAS_NUM_THREADS=threads, OMP_NUM_THREADS=threads, PYTHONHASHSEED=threads)
-        for jobs, threads in ((1, "1"), (2, "3"))
-    )  # fmt: skip
+    how = (suite, trials, planners, iterations)
+    one = rows_of(tmp_path / "one", *how, run=run_here)
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "PYTHONHASHSEED"), "3")
+    several = rows_of(tmp_path / "several", *how, jobs=2, **threads)
     assert len(one) >= trials * len(planners) and differences(one, several) == []
 
 
