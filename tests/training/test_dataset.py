@@ -1,8 +1,8 @@
 """The reader of training paths: splits, thinning, and what it refuses."""
 
-import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,118 +76,81 @@ def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
         dataset.thinned(0.0)
 
 
-def test_a_missing_or_foreign_folder_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema": 2}, "schema is 2; this version reads 1"),
+        ({"upper": LOWER}, "upper"),
+        ({"lower": "low"}, "lower"),
+        ({"families": []}, "families"),
+        ({"kinematics": {"rotation": [1]}}, "kinematics"),
+    ],
+)
+def test_a_description_that_does_not_fit_is_named(tmp_path, changes, message):
+    with pytest.raises(InvalidInputError, match=message):
+        open_dataset(write_dataset(tmp_path / "d", **changes))
     with pytest.raises(InvalidInputError, match=r"no dataset in .*nowhere"):
         open_dataset(tmp_path / "nowhere")
-    write_dataset(tmp_path / "later", schema=2)
-    with pytest.raises(InvalidInputError, match="schema is 2; this version reads 1"):
-        open_dataset(tmp_path / "later")
-    for name, value in (
-        ("upper", LOWER),
-        ("lower", "low"),
-        ("families", []),
-        ("kinematics", {"rotation": [1]}),
-    ):
-        write_dataset(tmp_path / name, **{name: value})
-        with pytest.raises(InvalidInputError, match=name):
-            open_dataset(tmp_path / name)
 
 
-def test_damaged_and_missing_shards_are_named(tmp_path):
-    folder = write_dataset(tmp_path / "d")
-    path = folder / "shards" / "000001.npz"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-100] + bytes(100))
-    with pytest.raises(InvalidInputError, match=r"000001.npz is damaged \(sha256\)"):
-        open_dataset(folder)
-    with pytest.raises(InvalidInputError, match=r"000001.npz is not a readable archive"):
-        open_dataset(folder, verify=False)
-    path.unlink()
-    with pytest.raises(InvalidInputError, match=r"cannot read .*000001.npz"):
-        open_dataset(folder)
-    path.write_bytes(whole)
-    path.unlink()
-    os.mkfifo(path)
-    with pytest.raises(InvalidInputError, match=r"000001.npz: it is not a regular file"):
-        open_dataset(folder)
+def in_index(change):
+    return "shards.csv", lambda data: change(data.decode()).encode()
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("file", "change", "message"),
     [
-        (lambda text: text[:-3], "is cut short; generate again"),
-        (lambda text: text[:-30], "is cut short"),
-        (lambda text: text[:-30] + "\n", "line 3 is damaged"),
-        (lambda text: text + "000002,abc\n", "line 4 is damaged"),
-        (lambda text: text + "../000001,abc,3,21\n", "line 4 is damaged"),
-        (lambda text: text + text.splitlines()[1] + "\n", "lists a shard twice"),
-        (lambda text: text.splitlines()[0] + "\n", "lists no shard"),
-        (lambda text: "shard,paths\n0,1\n", "the first line must be shard,sha256,scenes,paths"),
-        (lambda text: "", "the first line must be"),
+        (*in_index(lambda text: text[:-3]), "is cut short; generate again"),
+        (*in_index(lambda text: text[:-30] + "\n"), "line 3 is damaged"),
+        (*in_index(lambda text: text + "000002,abc\n"), "line 4 is damaged"),
+        (*in_index(lambda text: text + "../000001,abc,3,21\n"), "line 4 is damaged"),
+        (*in_index(lambda text: text + text.splitlines()[1] + "\n"), "lists a shard twice"),
+        (*in_index(lambda text: text.splitlines()[0] + "\n"), "lists no shard"),
+        (*in_index(lambda text: "shard,paths\n0,1\n"), "the first line must be shard,sha256,scenes,paths"),
+        (*in_index(lambda text: ""), "the first line must be"),
+        ("shards/000001.npz", lambda data: data[:-100] + bytes(100), r"is damaged \(sha256\)"),
+        ("shards/000001.npz", None, "cannot read"),
+        ("shards/000001.npz", "pipe", "it is not a regular file"),
+        ("dataset.json", lambda data: b"", "is not json"),
+        ("dataset.json", lambda data: b"[]", "one json object"),
+        ("dataset.json", lambda data: b'{"a": ' * 100_000, "is not json"),
+        ("dataset.json", lambda data: b'{"schema": 1}', "dataset.json"),
+        ("dataset.json", lambda data: b'{"schema": 1, "schema": 1}', "occurs twice"),
     ],
 )
-def test_a_damaged_index_is_refused(folder, tmp_path, change, message):
+def test_damaged_and_missing_files_are_named(folder, tmp_path, file, change, message):
     shutil.copytree(folder, tmp_path / "d")
-    index = tmp_path / "d" / "shards.csv"
-    index.write_text(change(index.read_text()))
-    with pytest.raises(InvalidInputError, match=f"shards.csv.*{message}"):
+    path = tmp_path / "d" / file
+    before = path.read_bytes()
+    path.unlink()
+    if change == "pipe":
+        os.mkfifo(path)
+    elif change is not None:
+        path.write_bytes(change(before))
+    with pytest.raises(InvalidInputError, match=message) as caught:
         open_dataset(tmp_path / "d")
+    assert Path(file).name in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{", '{"a": ' * 100_000, '{"schema": 1}', '{"schema": 1, "schema": 1}']
-)
-def test_a_damaged_description_is_one_line(folder, tmp_path, text):
-    shutil.copytree(folder, tmp_path / "d")
-    (tmp_path / "d" / "dataset.json").write_text(text)
-    with pytest.raises(InvalidInputError, match=r"dataset\.json") as caught:
-        open_dataset(tmp_path / "d")
-    assert "\n" not in str(caught.value)
-
-
-def test_a_shard_damaged_anywhere_is_refused_or_reads_the_same(folder, tmp_path):
-    """Without checksums: every 97th byte turned over, and the file cut there."""
-    shutil.copytree(folder, tmp_path / "d")
-    path = tmp_path / "d" / "shards" / "000000.npz"
-    whole = path.read_bytes()
-    refused = 0
-    for place in range(0, len(whole), 97):
-        for damaged in (whole[:place], whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :]):
-            path.write_bytes(damaged)
-            try:
-                open_dataset(tmp_path / "d", verify=False)
-            except InvalidInputError as error:
-                assert "000000.npz" in str(error)
-                refused += 1
-    assert refused > len(whole) / 97
-
-
-def test_a_pickle_in_a_shard_is_refused(tmp_path):
-    folder = write_dataset(tmp_path / "d")
-    arrays = shard(np.random.default_rng(5), (7,), 2)
-    write_shard(folder, 2, {**arrays, "family": np.array([{"a": 1}], dtype=object)})
-    with pytest.raises(InvalidInputError, match=r"000002.npz is not a readable archive.*: .*pickle"):
-        open_dataset(folder)
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
+    ("name", "change", "message"),
     [
-        ("waypoints", lambda a: a[:, :6]),
-        ("waypoints", lambda a: a.astype(np.int64)),
-        ("path_start", lambda a: a[:-1]),
-        ("path_scene", lambda a: a + 9),
-        ("twin_of", lambda a: a + 99),
-        ("shape_kind", lambda a: a + 3),
-        ("shape_pose", lambda a: a * np.nan),
-        ("trivial", lambda a: a[1:]),
+        ("waypoints", lambda a: a[:, :6], "waypoints"),
+        ("waypoints", lambda a: a.astype(np.int64), "waypoints"),
+        ("path_start", lambda a: a[:-1], "path_start"),
+        ("path_scene", lambda a: a + 9, "path_scene"),
+        ("twin_of", lambda a: a + 99, "twin_of"),
+        ("shape_kind", lambda a: a + 3, "shape_kind"),
+        ("shape_pose", lambda a: a * np.nan, "shape_pose"),
+        ("trivial", lambda a: a[1:], "trivial"),
+        ("family", lambda a: np.array([{"a": 1}], dtype=object), "is not a readable archive.*pickle"),
     ],
 )
-def test_arrays_that_contradict_each_other_are_named(tmp_path, name, change):
+def test_arrays_that_contradict_each_other_are_named(tmp_path, name, change, message):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
     folder = write_dataset(tmp_path / "d", shards=())
     write_shard(folder, 0, {**arrays, name: change(arrays[name])})
-    with pytest.raises(InvalidInputError, match=rf"000000.npz: .*{name}"):
+    with pytest.raises(InvalidInputError, match=rf"000000.npz.*{message}"):
         open_dataset(folder)
 
 
@@ -201,4 +164,3 @@ def test_the_hash_tells_datasets_apart(tmp_path, dataset):
     same = open_dataset(write_dataset(tmp_path / "same"))
     other = open_dataset(write_dataset(tmp_path / "other", seed=1))
     assert dataset.sha256 == same.sha256 != other.sha256
-    assert json.loads((tmp_path / "same" / "dataset.json").read_text())["schema"] == 1

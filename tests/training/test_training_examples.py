@@ -1,6 +1,7 @@
 """What training examples are made of: link positions, clouds, augmentations, sequences of codes."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from training_data import LOWER, UPPER, kinematics, write_dataset
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.path_labels import SHAPES
+from cvqmpt_lab.labels.path_labels import scene_shapes
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
@@ -28,9 +29,7 @@ from cvqmpt_lab.training.dataset import Shapes, open_dataset
 from cvqmpt_lab.training.stage1 import LinkPositions
 from cvqmpt_lab.training.stage2 import code_sequences
 from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, measured_points, sample_cloud
-from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
 from cvqmpt_lab.vqmpt.inputs import SerialChain
-from cvqmpt_lab.vqmpt.point_encoder import SetAbstraction, TokenLevel
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
 
@@ -62,28 +61,18 @@ def positions_one_by_one(data, q):
 # ---------------------------------------------------------------- link positions
 
 
-def test_link_positions_equal_a_loop(chain):
-    rng = np.random.default_rng(0)
-    u = rng.random((5, 3, 7))
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
+@pytest.mark.parametrize(
+    "other", [{}, {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}], ids=["in order", "any link"]
+)
+def test_link_positions_equal_a_loop(other):
+    data = kinematics() | other
+    chain, u = from_plain(SerialChain, data), np.random.default_rng(0).random((5, 3, 7))
+    assert from_plain(SerialChain, to_plain(chain)).feature_dim == chain.feature_dim == 12
     q = np.array(LOWER) + u * (np.array(UPPER) - LOWER)
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
     found = links.configurations(torch.tensor(u, dtype=torch.float32))
-    assert found.shape == (5, 3, 7 + chain.feature_dim)
-    expected = np.stack([[positions_one_by_one(kinematics(), q[i, j]) for j in range(3)] for i in range(5)])
+    expected = np.stack([[positions_one_by_one(data, q[i, j]) for j in range(3)] for i in range(5)])
     np.testing.assert_allclose(found[..., 7:], expected, atol=2e-6)
-    stretched = links.positions(torch.zeros(1, 7))[0].reshape(-1, 3)[
-        -1
-    ]  # all joints 0: hand forward and down
-    np.testing.assert_allclose(stretched, (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.21), atol=1e-6)
-
-
-def test_points_on_any_link_in_any_order(chain):
-    data = kinematics() | {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), from_plain(SerialChain, data))
-    q = np.linspace(-1.0, 1.0, 7)
-    found = links.positions(torch.tensor(q[None], dtype=torch.float32))[0]
-    np.testing.assert_allclose(found, positions_one_by_one(data, q), atol=1e-6)
-    assert from_plain(SerialChain, to_plain(chain)).feature_dim == 12
 
 
 @pytest.mark.parametrize(
@@ -121,24 +110,24 @@ def test_points_lie_on_surfaces_and_outside_of_others(dataset):
 
 def one(kind, size, at=(0.3, -0.2, 0.4)):
     pose = np.concatenate((np.eye(3), np.array(at)[:, None]), 1)[None].astype(np.float32)
-    return np.array([kind], dtype=np.uint8), np.array([size], dtype=np.float32), pose
+    return Shapes(np.array([kind], dtype=np.uint8), np.array([size], dtype=np.float32), pose)
 
 
 def test_points_are_uniform_by_area():
-    settings = CloudSettings(points=20000, noise=0.0, occlusion=0.0, density=0.0, crop=PLAIN.crop)
-    kind, size, pose = one(0, (0.2, 0.4, 0.6))
-    local = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
-    on = (np.abs(np.abs(local) - 0.5 * size) < 1e-6).mean(0)
+    settings = replace(PLAIN, points=20000)
+
+    def local(kind, size):
+        shape = one(kind, size)
+        return sample_cloud(shape, settings, np.random.default_rng(0)) - shape.pose[0, :, 3]
+
+    on = (np.abs(np.abs(local(0, (0.2, 0.4, 0.6))) - (0.1, 0.2, 0.3)) < 1e-6).mean(0)
     areas = np.array([0.4 * 0.6, 0.2 * 0.6, 0.2 * 0.4])
     np.testing.assert_allclose(on, areas / areas.sum(), atol=0.015)
-    kind, size, pose = one(1, (0.3, 0.3, 0.5))
-    local = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
-    caps = np.abs(np.abs(local[:, 2]) - 0.25) < 1e-6
+    points = local(1, (0.3, 0.3, 0.5))
+    caps = np.abs(np.abs(points[:, 2]) - 0.25) < 1e-6
     assert caps.mean() == pytest.approx(0.3 / 0.8, abs=0.015)
-    assert (np.hypot(*local[caps, :2].T) < 0.3 / np.sqrt(2)).mean() == pytest.approx(0.5, abs=0.02)
-    kind, size, pose = one(2, (0.3, 0.3, 0.3))
-    local = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
-    assert np.abs(local.mean(0)).max() < 0.01
+    assert (np.hypot(*points[caps, :2].T) < 0.3 / np.sqrt(2)).mean() == pytest.approx(0.5, abs=0.02)
+    assert np.abs(local(2, (0.3, 0.3, 0.3)).mean(0)).max() < 0.01
 
 
 def test_crops_noise_and_repetition(dataset):
@@ -159,17 +148,19 @@ def test_crops_noise_and_repetition(dataset):
     np.testing.assert_array_equal(one_cloud, same)
 
 
-@pytest.mark.parametrize("shapes", [0, 1])
-def test_empty_and_unseen_scenes_still_give_points(shapes):
-    kind, size, pose = (part[:shapes] for part in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0)))
-    cloud = sample_cloud(Shapes(kind, size, pose), CloudSettings(points=50), np.random.default_rng(0))
+@pytest.mark.parametrize("measured", [0.0, 1.0])
+@pytest.mark.parametrize("count", [0, 1])
+def test_empty_and_unseen_scenes_still_give_points(count, measured):
+    far = one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))
+    shapes = Shapes(far.kind[:count], far.size[:count], far.pose[:count])
+    cloud = sample_cloud(shapes, CloudSettings(points=50, measured=measured), np.random.default_rng(0))
     assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
 
 
 def test_occlusion_hides_surfaces_that_face_away():
-    settings = CloudSettings(points=500, noise=0.0, occlusion=1.0, cameras=1, density=0.0, crop=PLAIN.crop)
-    kind, size, pose = one(2, (0.2, 0.2, 0.2))
-    cloud = sample_cloud(Shapes(kind, size, pose), settings, np.random.default_rng(0)) - pose[0, :, 3]
+    ball = one(2, (0.2, 0.2, 0.2))
+    settings = replace(PLAIN, occlusion=1.0, cameras=1)
+    cloud = sample_cloud(ball, settings, np.random.default_rng(0)) - ball.pose[0, :, 3]
     mean = cloud.mean(0)
     assert np.linalg.norm(mean) > 0.05  # less than half of a sphere is seen by one camera
     assert (cloud @ mean > 0).mean() > 0.95
@@ -178,11 +169,8 @@ def test_occlusion_hides_surfaces_that_face_away():
 def test_measured_clouds_are_those_of_evaluation_cameras():
     """Two cameras at the same places see the same scene by either way, up to the pixels' size."""
     scene, settings = random_scene(3), CloudSettings(points=1024, measured=1.0, cameras=2)
-    kinds, sizes, poses = [], [], []
-    for item in scene.obstacles:
-        kind, size = SHAPES[type(item.shape)](item.shape)
-        kinds.append(kind), sizes.append(size), poses.append(item.T_world_object[:3])
-    shapes = Shapes(np.array(kinds, np.uint8), np.array(sizes, np.float32), np.array(poses, np.float32))
+    arrays = scene_shapes([(0, 3, scene)])
+    shapes = Shapes(*(arrays[f"shape_{name}"] for name in ("kind", "size", "pose")))
     eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
     ours = measured_points(shapes, eyes, np.array(settings.crop.centre), np.random.default_rng(0))
     cameras = tuple(Camera(KINECT, look_at(eye, settings.crop.centre)) for eye in eyes)
@@ -193,8 +181,6 @@ def test_measured_clouds_are_those_of_evaluation_cameras():
     one, same = (sample_cloud(shapes, settings, np.random.default_rng(0)) for _ in range(2))
     np.testing.assert_array_equal(one, same)
     assert one.shape == (1024, 3) and one.dtype == np.float32 and len(np.unique(one, axis=0)) > 600
-    empty = Shapes(shapes.kind[:0], shapes.size[:0], shapes.pose[:0])
-    assert sample_cloud(empty, settings, np.random.default_rng(0)).shape == (1024, 3)
 
 
 def test_clouds_are_made_fast(dataset):
@@ -263,17 +249,6 @@ def test_batches_repeat_by_seed_and_differ_by_epoch(dataset):
 def test_a_wrong_cloud_is_of_another_scene():
     assert other_scenes(np.array([3, 3, 5, 3])).tolist() == [2, 2, 3, 2]
     assert other_scenes(np.array([3, 3])) is None
-
-
-def test_training_reduces_points_as_prediction_does():
-    torch.manual_seed(0)
-    layer = SetAbstraction(
-        3, SetAbstractionConfig(ratio=0.15, radius=0.5, max_neighbours=8, widths=(8, 8))
-    ).eval()
-    points = torch.rand(2, 40, 3)
-    learning = layer(TokenLevel(points, points)).features
-    with torch.no_grad():
-        torch.testing.assert_close(layer(TokenLevel(points, points)).features, learning)
 
 
 def test_validation_is_always_the_same_and_plain(dataset):
