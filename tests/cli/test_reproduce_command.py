@@ -6,27 +6,18 @@ import pytest
 from command_line import refused
 
 from cli.main import main
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 
 
-def test_a_directory_with_rows_of_another_run_is_refused_and_kept(capsys, tmp_path):
-    words = [
-        "reproduce",
-        "place-task",
-        "--problems",
-        "1",
-        "--planners",
-        "birrt",
-        "--jobs",
-        "1",
-        "--out",
-        str(tmp_path),
-    ]
+def test_it_writes_its_files_and_refuses_to_mix_them_with_another_run(capsys, tmp_path):
+    words = ["reproduce", "place-task", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
+    words += ["--out", str(tmp_path)]
     assert main([*words, "--iterations", "20000"]) == 0
-    capsys.readouterr()
-    before = (tmp_path / RUNS_FILE).read_bytes()
+    out = capsys.readouterr().out
+    assert str(tmp_path / "table.md") in out and "birrt" in out
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert {"runs.csv", "table.md", "table.tex", "table.csv"} <= before.keys()
     assert "iterations was 20000, now 9" in refused(capsys, *words, "--iterations", "9")
-    assert (tmp_path / RUNS_FILE).read_bytes() == before and len(read_rows(tmp_path / RUNS_FILE)) == 1
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("out", ["/dev/null", "/dev/null/x"])
@@ -47,12 +38,3 @@ def test_an_unknown_backend_of_an_experiment_is_refused(capsys, tmp_path):
         capsys, "reproduce", "place-task", "--problems", "1", "--backend", "nope", "--out", out
     )
     assert not out.exists()
-
-
-def test_reproduce_writes_its_files_and_names_the_one_to_read(capsys, tmp_path):
-    words = ["reproduce", "place-task", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
-    assert main([*words, "--iterations", "20000", "--out", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
-    for name in ("runs.csv", "table.md", "table.tex", "table.csv"):
-        assert (tmp_path / name).is_file()
-    assert str(tmp_path / "table.md") in out and "birrt" in out

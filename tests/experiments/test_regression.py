@@ -31,23 +31,12 @@ def few():
     return measure(FEW)
 
 
-class NearStart:
-    """A sampler that never looks anywhere but around one configuration."""
-
-    name = "near-start"
-
-    def __init__(self, q):
-        self.q = q
-
-    def sample(self, rng, count):
-        return self.q + 1e-3 * rng.standard_normal((count, len(self.q)))
-
-
-class BlindBiRRT(BiRRT):
-    """birrt with a sabotaged sampler."""
+class BrokenBiRRT(BiRRT):
+    """birrt that draws the same sample for ever."""
 
     def search(self, space, start, goals, distribution, budget, rng):
-        return super().search(space, start, goals, NearStart(start), replace(budget, iterations=50), rng)
+        near = GaussianMixture(start[None], 1e-6 * np.eye(len(start))[None], np.ones(1))
+        return super().search(space, start, goals, near, replace(budget, iterations=50), rng)
 
 
 # ---------------------------------------------------------------- runs
@@ -60,21 +49,17 @@ def test_runs_repeat_whatever_ran_before(few):
     assert len({item.values["path_sha256"] for item in few}) == len(FEW)
 
 
-def test_a_changed_planner_turns_red(few, monkeypatch):
+def test_a_changed_planner_turns_red_here_and_a_broken_one_also_elsewhere(few, monkeypatch):
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BiRRT(extend_both=False)))
     found = compare(Expectations(HERE, few), measure(FEW), HERE)
     assert found.mode.startswith("exactly")
     assert len(found.differences) == 2, "both runs of birrt, and none of ompl-projected"
     assert found.differences[0].startswith("birrt, problem 2, seed 0, 20000 iterations: n_iterations was ")
-
-
-def test_a_broken_planner_turns_red_also_on_another_machine(few, monkeypatch):
-    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BlindBiRRT()))
+    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BrokenBiRRT()))
     found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
     assert "by bounds, not bit for bit, since cpu_model this one -> another one" in found.mode
-    assert [line.partition(": ")[2] for line in found.differences] == [
-        "fail_reason was None, is iteration_limit"
-    ] * 2
+    reasons = [line.partition(": ")[2] for line in found.differences]
+    assert reasons == ["fail_reason was None, is iteration_limit"] * 2
 
 
 TOUCHED = tuple(
@@ -83,7 +68,7 @@ TOUCHED = tuple(
 
 
 @pytest.fixture(scope="module")
-def honest():
+def unbroken():
     """Outcomes of TOUCHED by everything as it is."""
     return measure(TOUCHED)
 
@@ -114,10 +99,10 @@ def to_one_goal(planner, space, start, goals, *rest, original=BiRRT.search):
     ids=["sampler", "optimizer", "planner"],
 )
 def test_a_part_broken_on_purpose_turns_red_those_that_use_it(
-    honest, tmp_path, monkeypatch, capsys, where, name, broken, turn_red
+    unbroken, tmp_path, monkeypatch, capsys, where, name, broken, turn_red
 ):
     monkeypatch.setattr(regression, "CASES", TOUCHED)
-    Expectations(made_with(), honest).save(tmp_path / "e.json")
+    Expectations(made_with(), unbroken).save(tmp_path / "e.json")
     words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(tmp_path)]
     assert main(words) == 0
     monkeypatch.setattr(where, name, broken)
@@ -222,10 +207,10 @@ def tampered(path, old, new):
     path.write_text(text.replace(old, new, 1))
 
 
-def test_untouched_tables_are_equal(results):
+def test_untouched_tables_are_equal_and_their_rows_traced(results):
     (directory,) = committed_directories(results)
     before = {path.name: path.read_bytes() for path in directory.iterdir()}
-    assert differing_cells(directory) == []
+    assert differing_cells(directory) == [] and untraceable(directory, lambda planner: ()) == []
     assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
 
 
@@ -257,11 +242,6 @@ def test_changed_rows_and_missing_tables_are_noticed(results):
     assert "cannot be rendered" in "".join(differing_cells(directory))
 
 
-def test_rows_that_can_be_traced_are_accepted(results):
-    (directory,) = committed_directories(results)
-    assert untraceable(directory, lambda planner: ()) == []
-
-
 @pytest.mark.parametrize(
     ("session", "words"),
     [
@@ -284,8 +264,11 @@ def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words, contin
     assert words in line
 
 
-def test_the_committed_tables_are_a_fresh_rendering():
-    assert [line for directory in committed_directories(RESULTS) for line in differing_cells(directory)] == []
+def test_committed_tables_are_a_fresh_rendering(part):
+    """Some of them: `cvqmpt check-tables` renders all."""
+    assert [
+        line for folder in part(committed_directories(RESULTS), 6) for line in differing_cells(folder)
+    ] == []
 
 
 # ---------------------------------------------------------------- the command
@@ -294,19 +277,13 @@ def test_the_committed_tables_are_a_fresh_rendering():
 def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(regression, "CASES", FEW[:1])
     words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(results)]
-    assert main([*words, "--update"]) == 0
-    assert main(words) == 0
+    assert main([*words, "--update"]) == 0 and main(words) == 0
     out = capsys.readouterr().out
-    assert (
-        "runs compared exactly" in out
-        and "tables of 1 results directories rendered anew: no difference" in out
-    )
-    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BlindBiRRT()))
+    assert "runs compared exactly" in out
+    assert "tables of 1 results directories rendered anew: no difference" in out
+    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BrokenBiRRT()))
     assert main(words) == 1
-    assert (
-        "  differs: birrt, problem 2, seed 0, 20000 iterations: fail_reason was None"
-        in capsys.readouterr().out
-    )
+    assert f"  differs: {FEW[0]}: fail_reason was None" in capsys.readouterr().out
     assert main([*words, "--update"]) == 0 and main(words) == 0
     tampered(results / "place-task" / "table.md", "22.95", "21.95")
     assert main(words) == 1

@@ -1,9 +1,7 @@
-"""The multi-sequence suite: its tasks differ, and a run of it continues."""
+"""The multi-sequence suite: its tasks differ and repeat."""
 
 import numpy as np
-import pytest
 
-from cli.main import main
 from experiments.suites.multi_sequence import TARGET, TARGET_SIDE, multi_sequence_task
 
 
@@ -15,15 +13,3 @@ def test_tasks_differ_and_are_drawn_within_the_stated_square():
     assert (np.array(TARGET)[:2] <= targets[:, :2]).all()
     assert (targets[:, :2] <= np.array(TARGET)[:2] + TARGET_SIDE).all()
     np.testing.assert_array_equal(tasks[1].start, multi_sequence_task(1).start)
-
-
-@pytest.mark.slow
-def test_reproduce_continues_where_it_was(tmp_path, capsys):
-    command = ["reproduce", "multi-sequence", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
-    command += ["--out", str(tmp_path)]
-    assert main(command) == 0
-    first = (tmp_path / "runs.csv").read_bytes()
-    assert main(command) == 0
-    assert (tmp_path / "runs.csv").read_bytes() == first
-    assert "By phase" in (tmp_path / "table.md").read_text()
-    assert len(capsys.readouterr().out.splitlines()) <= 15

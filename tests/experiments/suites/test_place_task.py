@@ -5,13 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-from experiments.suites.family_task import family_problem
 from experiments.suites.place_task import (
     ENVIRONMENTS,
     GOALS,
@@ -121,15 +118,6 @@ def test_a_problem_without_a_start_is_said():
     suite = Suite("hard", range(3), lambda index: UnsolvableProblem(str(index), "no start grasp"))
     with pytest.raises(InvalidInputError, match="problem 2 of hard has no solution: no start grasp"):
         suite.solvable(2)
-
-
-@pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
-def test_family_problems_start_and_end_upright_and_free(family):
-    for number in (0, 1001):
-        problem = family_problem(family, number)
-        check_problem(problem)
-        space = ConstrainedSpace(problem)
-        assert not motion_free(space.arrays, problem.start, problem.goals[0])
 
 
 def test_unknown_suites_are_listed():

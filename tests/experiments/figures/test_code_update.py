@@ -13,8 +13,6 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.methods.loaded import codebook_of
 from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.show.meshes import Viewpoint
-from cvqmpt_lab.show.picture import still_image
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import scene_pictures
@@ -59,14 +57,11 @@ def update(problem, of):
 # ---------------------------------------------------------------- pure functions
 
 
-def test_markov_bound_by_hand():
+def test_markov_bound_by_hand_and_where_it_is_reached():
+    """With all of the mean at k itself the inequality is an equality."""
     markov = MarkovTail.of(np.array([0.0, 1.0, 2.0, 5.0]), (0.5, 1.0, 2.0, 4.0, 8.0))
     np.testing.assert_array_equal(markov.tail, (0.75, 0.75, 0.5, 0.25, 0.0))
     np.testing.assert_array_equal(markov.bound, (4.0, 2.0, 1.0, 0.5, 0.25))
-
-
-def test_markov_bound_is_reached_by_two_values():
-    """All of the mean at k itself: the inequality is an equality there."""
     markov = MarkovTail.of(np.array([0.0, 0.0, 0.0, 4.0]), (4.0,))
     assert markov.tail == markov.bound == 0.25
 
@@ -76,12 +71,6 @@ def test_markov_tail_of_a_known_distribution():
     markov = MarkovTail.of(values)
     np.testing.assert_allclose(markov.tail, chi2.sf(THRESHOLDS, 2), atol=5e-3)
     np.testing.assert_allclose(markov.bound, 2.0 / np.array(THRESHOLDS), rtol=1e-2)
-
-
-@pytest.mark.parametrize(("values", "k"), [([], (1.0,)), ([1.0], (0.0,)), ([1.0], (-1.0, 2.0))])
-def test_markov_bound_refuses(values, k):
-    with pytest.raises(InvalidInputError, match="Markov bound"):
-        MarkovTail.of(np.array(values), k)
 
 
 def test_histogram_by_hand():
@@ -100,10 +89,20 @@ def test_histogram_counts_every_value(values):
     assert (np.diff(histogram.edges) > 0.0).all()
 
 
-@pytest.mark.parametrize("values", [[], [-1.0], [np.nan], [np.inf]])
-def test_histogram_refuses(values):
-    with pytest.raises(InvalidInputError, match="finite values from 0"):
-        Histogram.of(np.array(values), np.array(values))
+@pytest.mark.parametrize(
+    ("make", "given", "said"),
+    [
+        *((lambda v: Histogram.of(v, v), [v], "finite values from 0") for v in ([], [-1.0], [np.nan], [np.inf])),
+        (MarkovTail.of, [[], (1.0,)], "Markov bound"),
+        (MarkovTail.of, [[1.0], (0.0,)], "Markov bound"),
+        (MarkovTail.of, [[1.0], (-1.0, 2.0)], "Markov bound"),
+        (lambda samples: UpdateSettings(samples=samples), [0], "samples of the update is 0"),
+        (lambda seed: UpdateSettings(seed=seed), [-1], "seed of the update is -1"),
+    ],
+)  # fmt: skip
+def test_bad_numbers_are_refused(make, given, said):
+    with pytest.raises(InvalidInputError, match=said):
+        make(*given)
 
 
 # ---------------------------------------------------------------- an update
@@ -130,17 +129,12 @@ def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem):
     assert update.centre_after.mean() < 0.5 * update.centre_before.mean()
 
 
-def test_kept_codes_are_left_alone(update):
+def test_kept_codes_are_left_alone_and_tails_never_exceed_the_bound(update):
     kept = update.kept
     np.testing.assert_array_equal(update.centre_after[kept], update.centre_before[kept])
     np.testing.assert_array_equal(update.g_after[kept], update.g_before[kept])
-
-
-def test_the_measured_tail_never_exceeds_the_bound(update):
-    for g in (*update.g_before, *update.g_after):
-        markov = MarkovTail.of(g)
-        assert (markov.tail <= markov.bound).all()
-        assert markov.tail.max() > 0.0
+    for markov in map(MarkovTail.of, (*update.g_before, *update.g_after)):
+        assert (markov.tail <= markov.bound).all() and markov.tail.max() > 0.0
 
 
 def test_representatives_are_far_and_near_by_rank(update):
@@ -176,20 +170,10 @@ def test_hands_by_another_kinematics(update, problem):
     assert upright.tilt[0] < 1e-4
 
 
-def test_figures_repeat_byte_for_byte(update):
-    first, again = (figure_bytes(histogram_figure(code_changes(update)), "svg") for _ in range(2))
+def test_figures_repeat_byte_for_byte(problem):
+    changes = code_changes(update_codes(problem, None, SETTINGS))
+    first, again = (figure_bytes(histogram_figure(changes), "svg") for _ in range(2))
     assert first == again and b"<svg" in first
-
-
-def test_the_scene_is_drawn_where_its_viewpoint_puts_it(problem):
-    viewpoint, size = Viewpoint(), (120, 90)
-    image = still_image(problem, problem.start, size, viewpoint)
-    other = still_image(problem, problem.goals[0], size, viewpoint)
-    assert image.shape == (90, 120, 3) and image.dtype == np.uint8
-    rows, columns = np.nonzero((image != other).any(axis=2))
-    for q in (problem.start, problem.goals[0]):  # the hand is where the pictures differ
-        column, row, _ = viewpoint.screen(problem.robot.pose(q)[:3, 3], size[::-1])
-        assert np.hypot(rows - row, columns - column).min() < 2.0
 
 
 @pytest.fixture
@@ -209,12 +193,6 @@ def test_no_codes_is_said(problem, panda, tmp_path):
     save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
     with pytest.raises(InvalidInputError, match="predicted 0 codes"):
         update_codes(problem, str(tmp_path / "silent"), SETTINGS)
-
-
-@pytest.mark.parametrize(("name", "value"), [("samples", 0), ("seed", -1)])
-def test_settings_are_checked(name, value):
-    with pytest.raises(InvalidInputError, match=f"{name} of the update is {value}"):
-        UpdateSettings(**{name: value})
 
 
 # ---------------------------------------------------------------- the command

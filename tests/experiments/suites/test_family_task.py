@@ -1,13 +1,15 @@
-"""Problems of arms beside the Panda: posed as promised, and solved by a planner that needs no weights."""
+"""Problems in scenes of the training families: of the Panda, and of arms for which there are no weights."""
 
 import numpy as np
 import pytest
 
+from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.methods.table import WITHOUT_WEIGHTS
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import check_problem
-from experiments.suites.family_task import ROBOTS
+from experiments.suites.family_task import ROBOTS, family_problem
 from experiments.suites.suite import suite_named
 
 
@@ -31,3 +33,12 @@ def test_every_robot_has_a_suite_whose_planners_need_no_weights():
     for robot in ROBOTS:
         suite = suite_named(f"robots-{robot}")
         assert len(suite.problems) == 20 and suite.planners and set(suite.planners) <= set(WITHOUT_WEIGHTS)
+
+
+@pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
+def test_family_problems_start_and_end_upright_and_free(family):
+    for number in (0, 1001):
+        problem = family_problem(family, number)
+        check_problem(problem)
+        space = ConstrainedSpace(problem)
+        assert not motion_free(space.arrays, problem.start, problem.goals[0])
