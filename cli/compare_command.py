@@ -5,7 +5,7 @@ from pathlib import Path
 
 from paper_tables.compare_runs import clear, compared, comparison_lines
 from paper_tables.suite_tables import directory_rows
-from paper_tables.writers import padded
+from paper_tables.writers import text_lines
 
 EXAMPLES = ("cvqmpt compare runs/before runs/after",)
 
@@ -22,6 +22,6 @@ def run(args: argparse.Namespace) -> int:
     """Pair runs, compare them and print what changed."""
     found = compared(directory_rows(args.before), directory_rows(args.after))
     print(f"from A, {args.before}, to B, {args.after}; changes over runs that both solved, 95 % intervals")
-    print("\n".join("  ".join(line).rstrip() for line in padded(comparison_lines(found))))
+    print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
     return 0

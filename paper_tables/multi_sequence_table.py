@@ -16,15 +16,11 @@ from paper_tables.statements import ABOUT_MULTI_SEQUENCE
 from paper_tables.writers import Lines, number
 
 PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}  # that a time sums over
-PARTS: Mapping[str, str] = {
+PARTS = {
     "paper": "the three phases that the paper times (reach the handle, reach the can, carry)",
     "all": "all planned phases",
 }
-TIMES: Mapping[str, str] = {
-    "planning_time": "Planning",
-    "execution_time": "Execution",
-    "total_time": "Total",
-}
+TIMES = {"planning_time": "Planning", "execution_time": "Execution", "total_time": "Total"}
 STATISTICS = {"mean": measures.mean_of, "median": measures.median_of}
 
 

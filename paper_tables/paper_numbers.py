@@ -17,8 +17,7 @@ class PublishedValue:
     planner: str
     paper_name: str
     metric: str
-    value: str
-    """As printed there."""
+    value: str  # as printed there
     unit: str
     note: str
 

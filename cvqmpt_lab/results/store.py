@@ -50,10 +50,7 @@ class RunStore:
 
     @classmethod
     def open(
-        cls,
-        directory: Path,
-        configuration: Mapping[str, object],
-        session: Mapping[str, object] | None = None,
+        cls, directory: Path, configuration: Mapping[str, object], session: Mapping[str, object] | None = None
     ) -> "RunStore":
         """Create a store, or continue one that was made with an equal configuration and the same weights.
 

@@ -122,12 +122,7 @@ def test_fallbacks_are_counted_and_solved_runs_stay_solved():
     assert summary.measured["fallbacks"] == wilson_interval(2, 10).scaled(100)
     assert summary.measured["accuracy"].estimate == 100 and summary.n_fallen_back == 2
     table = place_task_table(rows, PAPER)
-    assert cells(table, "Fallbacks")[1] == [
-        "roadmap-cvq",
-        "–",
-        "no path after 0 searches: birrt",
-        "2 of 10",
-    ]
+    assert cells(table, "Fallbacks")[1] == ["roadmap-cvq", "–", "no path after 0 searches: birrt", "2 of 10"]
     assert table.brief[-1] == "by fallback: roadmap-cvq 2 of 10"
 
 
