@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
 from cvqmpt_lab.scene.scene import Scene
@@ -17,33 +17,19 @@ TOLERANCE = 0.005  # [m]
 CLOSED = {  # piece: centre, size of the box around it [m], all doors closed
     "robot_pedestal": ((-0.050, 0.000, -0.385), (0.250, 0.250, 0.750)),
     "walls/back": ((0.932, 0.630, 0.752), (0.130, 3.500, 2.750)),
-    "walls/right": ((0.408, -1.055, 0.752), (0.914, 0.130, 2.750)),
     "indigo/countertop": ((0.541, -0.573, 0.159), (0.650, 0.835, 0.037)),
-    "hitman/countertop": ((0.541, 1.275, 0.159), (0.650, 1.200, 0.037)),
-    "range/block": ((0.500, 0.260, -0.288), (0.710, 0.760, 0.920)),
     "range/plate_front_left": ((0.435, 0.470, 0.172), (0.250, 0.250, 0.001)),
-    "range/plate_front_right": ((0.435, 0.050, 0.172), (0.250, 0.250, 0.001)),
-    "range/plate_back_left": ((0.685, 0.515, 0.172), (0.160, 0.160, 0.001)),
     "range/plate_back_right": ((0.685, 0.005, 0.172), (0.160, 0.160, 0.001)),
     "range/control_panel": ((0.207, 0.260, 0.174), (0.125, 0.760, 0.004)),
     "range/knob_outer_left": ((0.2075, 0.590, 0.187), (0.050, 0.050, 0.025)),
-    "range/knob_inner_left": ((0.2075, 0.515, 0.187), (0.050, 0.050, 0.025)),
-    "range/knob_inner_right": ((0.2075, 0.005, 0.187), (0.050, 0.050, 0.025)),
     "range/knob_outer_right": ((0.2075, -0.070, 0.187), (0.050, 0.050, 0.025)),
     "extractor_hood": ((0.640, 0.260, 1.097), (0.560, 0.760, 0.660)),
     "dagger/cell1_bottom": ((0.683, -0.345, 0.636), (0.366, 0.343, 0.019)),
-    "dagger/cell1_top": ((0.683, -0.345, 1.379), (0.366, 0.343, 0.019)),
     "dagger/cell1_side_right": ((0.683, -0.526, 1.008), (0.366, 0.019, 0.762)),
-    "dagger/cell1_side_left": ((0.683, -0.165, 1.008), (0.366, 0.019, 0.762)),
-    "dagger/cell0_bottom": ((0.683, -0.727, 0.636), (0.366, 0.343, 0.019)),
-    "dagger/cell0_top": ((0.683, -0.727, 1.379), (0.366, 0.343, 0.019)),
     "dagger/cell0_side_right": ((0.683, -0.907, 1.008), (0.366, 0.019, 0.762)),
-    "dagger/cell0_side_left": ((0.683, -0.545, 1.008), (0.366, 0.019, 0.762)),
     "dagger_door_left/panel": ((0.490, -0.345, 1.007), (0.019, 0.380, 0.760)),
     "dagger_door_left/handle_bar": ((0.441, -0.485, 0.757), (0.015, 0.015, 0.245)),
     "dagger_door_left/handle_post_lower": ((0.461, -0.485, 0.679), (0.040, 0.010, 0.010)),
-    "dagger_door_left/handle_post_upper": ((0.461, -0.485, 0.835), (0.040, 0.010, 0.010)),
-    "dagger_door_right/panel": ((0.490, -0.727, 1.007), (0.019, 0.380, 0.760)),
     "dagger_door_right/handle_bar": ((0.441, -0.587, 0.757), (0.015, 0.015, 0.245)),
     "sektion/cell0_bottom": ((0.683, 0.866, 0.737), (0.366, 0.343, 0.019)),
     "sektion/cell2_top": ((0.683, 1.627, 1.480), (0.366, 0.343, 0.019)),
@@ -94,17 +80,8 @@ def bounds(item):
 def random_parameters(seed):
     """Another kitchen: a few main dimensions changed by up to a fifth, the rest follows."""
     rng = np.random.default_rng(seed)
-    names = (
-        "cabinet_width",
-        "wall_cabinet_depth",
-        "wall_cabinet_height",
-        "base_cabinet_height",
-        "board_thickness",
-        "door_thickness",
-        "range_width",
-        "handle_length",
-        "range_side_gap",
-    )
+    names = "cabinet_width wall_cabinet_depth wall_cabinet_height base_cabinet_height board_thickness door_thickness"
+    names = (*names.split(), "range_width", "handle_length", "range_side_gap")
     changed = {name: getattr(KitchenParameters(), name) * rng.uniform(0.85, 1.2) for name in names}
     return KitchenParameters(
         **changed, base_cabinet_depth=rng.uniform(0.57, 0.65), back_wall_width=5.0, left_countertop_width=1.5
@@ -136,11 +113,8 @@ def test_number_and_kind_of_pieces():
     assert len(scene.objects) == 107
     assert [item.name for item in scene if not item.obstacle] == ["floor"]
     assert bounds(scene["floor"])[1][2] == pytest.approx(-0.750)
-    cylinders = {item.name for item in scene if isinstance(item.shape, Cylinder)}
-    assert cylinders == {
-        item.name for item in scene if any(w in item.name for w in ("plate_", "knob", "handle"))
-    }
-    assert "range/plate_front_left" in cylinders and "dagger_door_left/handle_bar" in cylinders
+    cylinders = [item.name for item in scene if isinstance(item.shape, Cylinder)]
+    assert cylinders == [name for name in scene.names if any(w in name for w in ("plate_", "knob", "handle"))]
 
 
 def test_hinges_have_the_measured_axes_and_ranges():
@@ -152,14 +126,8 @@ def test_hinges_have_the_measured_axes_and_ranges():
         np.testing.assert_array_equal(joint.T_world_joint[:3, 2], (0.0, 0.0, 1.0))
         assert (joint.lower, joint.upper, joint.value) == (lower, upper, 0.0)
         assert set(joint.moves) == {item.name for item in scene if item.name.startswith(f"{name}/")}
-        assert len(joint.moves) == 4
-
-
-def test_every_door_opens_towards_the_room():
-    for name, (_, _, lower, upper) in HINGES.items():
-        opened = kitchen(door_angles={name: lower + upper})
-        before, after = kitchen()[f"{name}/panel"], opened[f"{name}/panel"]
-        assert after.T_world_object[0, 3] < before.T_world_object[0, 3] - 0.15, name
+        before, after = scene[f"{name}/panel"], scene.with_joint(name, lower + upper)[f"{name}/panel"]
+        assert after.T_world_object[0, 3] < before.T_world_object[0, 3] - 0.15, "it opens towards the room"
 
 
 @pytest.mark.parametrize("name", DRAWERS)
@@ -183,19 +151,20 @@ def test_joint_and_json_round_trips():
         np.testing.assert_allclose(moved[item.name].T_world_object, item.T_world_object, atol=1e-12)
 
 
-def test_unusable_angles_and_parameters_are_refused():
-    with pytest.raises(UnknownChoiceError, match=r"'fridge'; valid choices: .*dagger_door_left"):
-        kitchen(door_angles={"fridge": 0.1})
-    with pytest.raises(InvalidInputError, match=r"\[-1\.57, 0\.0\] rad"):
-        kitchen(door_angles={"dagger_door_left": 0.1})
-    with pytest.raises(InvalidInputError, match=r"KitchenParameters\.cabinet_width.*-0\.3"):
-        KitchenParameters(cabinet_width=-0.3)
-    with pytest.raises(InvalidInputError, match=r"KitchenParameters\.range_y.*nan"):
-        KitchenParameters(range_y=math.nan)
-    with pytest.raises(InvalidInputError, match="drawer_length reaches through the back"):
-        KitchenParameters(drawer_length=0.6)
-    with pytest.raises(InvalidInputError, match="wall_cabinet_height is below the handle"):
-        KitchenParameters(wall_cabinet_height=0.2)
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: kitchen(door_angles={"fridge": 0.1}), r"'fridge'; valid choices: .*dagger_door_left"),
+        (lambda: kitchen(door_angles={"dagger_door_left": 0.1}), r"\[-1\.57, 0\.0\] rad"),
+        (lambda: KitchenParameters(cabinet_width=-0.3), r"KitchenParameters\.cabinet_width.*-0\.3"),
+        (lambda: KitchenParameters(range_y=math.nan), r"KitchenParameters\.range_y.*nan"),
+        (lambda: KitchenParameters(drawer_length=0.6), "drawer_length reaches through the back"),
+        (lambda: KitchenParameters(wall_cabinet_height=0.2), "wall_cabinet_height is below the handle"),
+    ],
+)
+def test_unusable_angles_and_parameters_are_refused(make, message):
+    with pytest.raises(CvqmptError, match=message):
+        make()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -90,22 +90,6 @@ def test_shapes_survive_json(shape):
     assert all(copy != other for other in SHAPES if other is not shape)
 
 
-@pytest.mark.parametrize(
-    ("data", "error", "named"),
-    [
-        ({"type": "cone", "radius": 1.0}, UnknownChoiceError, "cone.*box, cylinder, sphere"),
-        ({"radius": 1.0}, InvalidInputError, r"shape\.type is missing"),
-        ({"type": "cylinder", "radius": 1.0}, InvalidInputError, r"shape\.height is missing"),
-        ({"type": "sphere", "radius": 1.0, "colour": "red"}, InvalidInputError, r"shape\.colour is unknown"),
-        ({"type": "sphere", "radius": -1.0}, InvalidInputError, r"shape\.radius.*-1.0"),
-        ([1, 2], InvalidInputError, "type"),
-    ],
-)
-def test_malformed_shape_dictionaries_name_the_field(data, error, named):
-    with pytest.raises(error, match=named):
-        from_plain(Shape, data, "shape")
-
-
 def test_arrays_inside_shapes_and_poses_are_read_only_copies():
     points = TETRAHEDRON.copy()
     mesh = ConvexMesh(points)
@@ -130,11 +114,6 @@ def test_vertices_and_bounding_radius():
         shape_vertices(Sphere(1.0))  # type: ignore[arg-type]
 
 
-def test_pose_turns_about_the_vertical():
-    point = pose((1.0, 2.0, 3.0), math.pi / 2) @ (1.0, 0.0, 0.0, 1.0)
-    np.testing.assert_allclose(point, (1.0, 3.0, 3.0, 1.0), atol=1e-15)
-
-
 @pytest.mark.parametrize(
     "bad",
     [np.eye(3), 2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), math.nan), "upright"],
@@ -145,7 +124,7 @@ def test_poses_that_are_not_rigid_are_refused(bad):
         SceneObject("cup", Sphere(0.1), bad)
 
 
-def test_hinge_turns_its_parts_about_its_axis_and_nothing_else():
+def test_hinges_and_sliders_move_their_parts_and_nothing_else():
     closed = small_scene()
     opened = closed.with_joint("door", 1.2)
     np.testing.assert_allclose(
@@ -155,57 +134,38 @@ def test_hinge_turns_its_parts_about_its_axis_and_nothing_else():
     )
     assert opened.articulation("door").value == 1.2
     assert all(opened[name] == closed[name] for name in ("wall", "drawer/tray", "floor"))
-    assert closed.articulation("door").value == 0.0
-
-
-def test_slider_moves_its_parts_along_its_axis():
-    pulled = small_scene().with_joint("drawer", 0.4)
+    pulled = closed.with_joint("drawer", 0.4)
     np.testing.assert_allclose(pulled["drawer/tray"].T_world_object, pose((0.9, 0.8, 0.0)), atol=1e-12)
 
 
-def test_joint_round_trip_returns_every_pose():
-    closed = small_scene()
-    back = closed.with_joint("door", 1.5).with_joint("door", 0.4).with_joint("door", 0.0)
-    for item in closed:
-        np.testing.assert_allclose(back[item.name].T_world_object, item.T_world_object, atol=1e-12)
+def door_as(**change):
+    return lambda: Articulation(**{**to_plain(small_scene().articulation("door")), **change})
 
 
-def test_values_outside_a_range_name_the_range():
-    with pytest.raises(InvalidInputError, match=r"1\.6.*'door'.*\[0\.0, 1\.57\] rad"):
-        small_scene().with_joint("door", 1.6)
-    with pytest.raises(InvalidInputError, match=r"\[0\.0, 0\.4\] m"):
-        small_scene().with_joint("drawer", math.nan)
-    with pytest.raises(InvalidInputError, match=r"2\.0"):
-        small_scene(hinge_value=2.0)
+SCENE = small_scene()
+DOOR = SCENE.articulation("door")
+OTHER = Articulation("other", "hinge", pose((0.0, 0.0, 0.0)), 0.0, 1.0, 0.0, ("door/panel",))
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("make", "named"),
     [
-        ({"kind": "screw"}, "screw.*hinge, slider"),
-        ({"lower": 2.0}, "lower 2.0"),
-        ({"upper": math.inf}, "upper"),
-        ({"moves": "door/panel"}, "moves"),
+        (lambda: small_scene().with_joint("door", 1.6), r"1\.6.*'door'.*\[0\.0, 1\.57\] rad"),
+        (lambda: small_scene().with_joint("drawer", math.nan), r"\[0\.0, 0\.4\] m"),
+        (lambda: small_scene(hinge_value=2.0), r"2\.0"),
+        (door_as(kind="screw"), "screw.*hinge, slider"),
+        (door_as(lower=2.0), "lower 2.0"),
+        (door_as(upper=math.inf), "upper"),
+        (door_as(moves="door/panel"), "moves"),
+        (lambda: SCENE.with_objects(SCENE["wall"]), "'wall' occurs twice"),
+        (lambda: Scene("twice", SCENE.objects, (DOOR, DOOR)), "'door' occurs twice"),
+        (lambda: Scene("lost", (SCENE["wall"],), (DOOR,)), "moves 'door/panel'"),
+        (lambda: Scene("both", SCENE.objects, (DOOR, OTHER)), "'door/panel' occurs twice"),
     ],
 )
-def test_unusable_articulations_are_refused(change, named):
-    good = to_plain(small_scene().articulation("door"))
-    with pytest.raises((InvalidInputError, UnknownChoiceError), match=named):
-        Articulation(**{**good, **change})
-
-
-def test_scene_names_are_unique_and_articulations_move_known_objects_once():
-    scene = small_scene()
-    door = scene.articulation("door")
-    with pytest.raises(InvalidInputError, match="'wall' occurs twice"):
-        scene.with_objects(scene["wall"])
-    with pytest.raises(InvalidInputError, match="'door' occurs twice"):
-        Scene("twice", scene.objects, (door, door))
-    with pytest.raises(InvalidInputError, match="moves 'door/panel'"):
-        Scene("lost", (scene["wall"],), (door,))
-    other = Articulation("other", "hinge", pose((0.0, 0.0, 0.0)), 0.0, 1.0, 0.0, ("door/panel",))
-    with pytest.raises(InvalidInputError, match="'door/panel' occurs twice"):
-        Scene("both", scene.objects, (door, other))
+def test_unusable_articulations_and_names_are_refused(make, named):
+    with pytest.raises(CvqmptError, match=named):
+        make()
 
 
 def test_lookup_adding_and_removing():
@@ -250,6 +210,12 @@ def test_minus_zero_is_the_same_content():
         (lambda data: data["objects"][1].update(obstacle="yes"), "scene.objects[1].obstacle is 'yes'"),
         (lambda data: data["objects"][2]["shape"].pop("size"), "scene.objects[2].shape.size is missing"),
         (lambda data: data["objects"][2]["shape"].update(type="cone"), "scene.objects[2].shape.type 'cone'"),
+        (lambda data: data["objects"][2]["shape"].pop("type"), "scene.objects[2].shape.type is missing"),
+        (
+            lambda data: data["objects"][2]["shape"].update(colour=1),
+            "scene.objects[2].shape.colour is unknown",
+        ),
+        (lambda data: data["objects"][2].update(shape=[1]), "type"),
         (
             lambda data: data["articulations"][0].update(value=9.0),
             "scene.articulations[0]: value 9.0 of hinge",

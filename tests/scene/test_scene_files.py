@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene
@@ -112,8 +113,6 @@ def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, 
 
 def test_a_scene_without_a_file_around_it_cannot_name_one():
     plain = {"name": "s", "objects": [item_of("scan", type="cloud_file", path="a.npy", radius=0.01)]}
-    from cvqmpt_lab.codec.plain import from_plain
-
     with pytest.raises(
         InvalidInputError, match="'cloud_file' names a file: load what names it from a file too"
     ):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 
 PLAIN = {"width": 640, "height": 480, "fx": 525.0, "fy": 526.0, "cx": 319.5, "cy": 239.5}
@@ -61,16 +61,6 @@ BAD_INTRINSICS = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_INTRINSICS)
-def test_bad_intrinsics_name_the_field(name, tmp_path):
-    data, message = BAD_INTRINSICS[name]
-    path = tmp_path / "bad.json"
-    path.write_text(json.dumps(data))
-    with pytest.raises(CvqmptError, match=message) as caught:
-        read_intrinsics(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
-
-
 TURN = Rotation.from_euler("xyz", (-2.0, 0.1, 0.3))
 T = np.eye(4)
 T[:3, :3], T[:3, 3] = TURN.as_matrix(), (0.1, -0.5, 0.9)
@@ -106,16 +96,6 @@ BAD_EXTRINSICS = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_EXTRINSICS)
-def test_bad_extrinsics_name_the_fault(name, tmp_path):
-    data, message = BAD_EXTRINSICS[name]
-    path = tmp_path / "bad.json"
-    path.write_text(json.dumps(data))
-    with pytest.raises(CvqmptError, match=message) as caught:
-        read_extrinsics(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
-
-
 BAD_YAML = {
     "aliases": ("a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", "has an alias"),
     "tag": ("!!python/object/apply:os.system [echo]\n", "could not determine a constructor"),
@@ -127,14 +107,22 @@ BAD_YAML = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_YAML)
-def test_yaml_that_is_no_plain_settings_is_refused(name, tmp_path):
-    text, message = BAD_YAML[name]
-    path = tmp_path / "bad.yaml"
+BAD = [
+    *((read_intrinsics, "bad.json", json.dumps(data), message) for data, message in BAD_INTRINSICS.values()),
+    *((read_extrinsics, "bad.json", json.dumps(data), message) for data, message in BAD_EXTRINSICS.values()),
+    *((read_extrinsics, "bad.yaml", text, message) for text, message in BAD_YAML.values()),
+]
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "text", "message"), BAD, ids=[*BAD_INTRINSICS, *BAD_EXTRINSICS, *BAD_YAML]
+)
+def test_bad_files_are_refused_by_field_in_one_line(read, name, text, message, tmp_path):
+    path = tmp_path / name
     path.write_text(text)
-    with pytest.raises(InvalidInputError, match=message) as caught:
-        read_extrinsics(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(CvqmptError, match=message) as caught:
+        read(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
 
 
 def test_another_suffix_is_refused(tmp_path):

@@ -89,18 +89,13 @@ def test_what_is_no_depth_image_of_the_camera_is_refused(files, name):
     assert str(files.depth) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_units_that_cannot_be_meant_are_named(files):
-    with pytest.raises(
-        InvalidInputError, match=r"half of it is more than .* m off the origin|more than 1000"
-    ):
+def test_missing_intrinsics_and_impossible_units_are_named(files):
+    with pytest.raises(InvalidInputError, match=r"depth image .* needs the intrinsics"):
+        read_capture(files.depth)
+    with pytest.raises(InvalidInputError, match=r"half of it is more than .* m off|more than 1000"):
         read_capture(files.depth, files.intrinsics, scale=1.0)
     with pytest.raises(InvalidInputError, match=r"all of it lies within .* mm: no metres\?"):
         read_capture(files.depth, files.intrinsics, scale=1e-7)
-
-
-def test_an_image_needs_its_intrinsics(files):
-    with pytest.raises(InvalidInputError, match=r"depth image .* needs the intrinsics"):
-        read_capture(files.depth)
 
 
 def test_an_array_of_depths_may_not_lie_about_its_size(files):

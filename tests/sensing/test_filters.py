@@ -1,16 +1,12 @@
-"""Filters take away the robot and outliers points, and nothing else."""
+"""Filters take away the robot and outliers, and nothing else."""
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import pose
-from cvqmpt_lab.robot.loading import panda, robot_from_source
-from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
 
 MARGIN = 0.03
@@ -42,15 +38,6 @@ def distance_to(robot, q, point):
     return min(distances)
 
 
-def test_what_is_left_does_not_touch_the_robot():
-    robot, rng = panda(), np.random.default_rng(1)
-    points = rng.uniform(-0.8, 0.8, (20_000, 3)) + (0, 0, 0.5)
-    q = np.array([0.3, -0.6, 0.1, -2.2, 0.0, 1.8, 0.7])
-    left = points[~near_robot(points, robot, q, 0.011)]
-    scene = Scene("s", (SceneObject("scan", PointCloud(left[:900], 0.01), pose((0, 0, 0))),))
-    assert not CollisionChecker(robot, scene).in_collision(q)
-
-
 def test_outliers_are_those_with_few_neighbours():
     points = np.random.default_rng(2).uniform(0, 1, (400, 3))
     counts = (np.linalg.norm(points[:, None] - points, axis=2) <= 0.1).sum(axis=1) - 1
@@ -59,7 +46,6 @@ def test_outliers_are_those_with_few_neighbours():
     assert outliers(points[:2], 1.0, 2).all(), "fewer points than neighbours asked for"
 
 
-# Voxel means, against cells filled one point at a time.
 @pytest.mark.parametrize("voxel", [0.25, 0.02], ids=["many points a cell", "many cells a point"])
 def test_voxels_keep_means_and_cells(voxel):
     points = np.random.default_rng(0).uniform(-1, 1, (5000, 3))
@@ -71,11 +57,8 @@ def test_voxels_keep_means_and_cells(voxel):
     np.testing.assert_allclose(means, [np.mean(cells[key], axis=0) for key in sorted(cells)], atol=1e-12)
 
 
-def test_no_points_have_no_means():
+def test_voxels_of_no_points_and_too_small_voxels():
     assert voxel_means(np.empty((0, 3)), 0.1).shape == (0, 3)
-
-
-def test_a_voxel_too_small_to_number_its_cells_is_refused():
     far = np.array([[0.0, 0.0, 0.0], [900.0, 900.0, 900.0]])
     with pytest.raises(InvalidInputError, match="voxel of 1e-07 m is too small for a cloud that is 900 m"):
         voxel_means(far, 1e-7)
