@@ -40,19 +40,22 @@ def run(args: argparse.Namespace) -> int:
         Expectations(made_with(), outcomes).save(args.expected)
         print(f"expectations written to {args.expected}")
         return 0
-    comparison = compare(expected, outcomes, made_with())
+    mode, runs = compare(expected, outcomes, made_with())
     directories = committed_directories(args.results)
-    cells = [line for directory in directories for line in differing_cells(directory)]
-    origins = [line for folder in directories for line in untraceable(folder, models_of)]
-    print(f"runs compared {comparison.mode}: {_verdict(comparison.differences)}")
-    print(f"tables of {len(directories)} results directories rendered anew: {_verdict(cells)}")
-    pages = stale_pages(committed_pages()) if args.results == RESULTS else []
-    print(f"commits and weights of their rows: {_verdict(origins)}")
-    print(f"the page of claims and the README's verdicts: {_verdict(pages)}")
-    for line in (*comparison.differences, *cells, *origins, *pages):
+    found = {
+        f"runs compared {mode}": runs,
+        f"tables of {len(directories)} results directories rendered anew": [
+            line for folder in directories for line in differing_cells(folder)
+        ],
+        "commits and weights of their rows": [
+            line for folder in directories for line in untraceable(folder, models_of)
+        ],
+        "the page of claims and the README's verdicts": (
+            stale_pages(committed_pages()) if args.results == RESULTS else []
+        ),
+    }
+    for what, lines in found.items():
+        print(f"{what}: {f'{len(lines)} differences' if lines else 'no difference'}")
+    for line in (line for lines in found.values() for line in lines):
         print(f"  differs: {line}")
-    return 1 if comparison.differences or cells or origins or pages else 0
-
-
-def _verdict(differences: tuple[str, ...] | list[str]) -> str:
-    return f"{len(differences)} differences" if differences else "no difference"
+    return 1 if any(found.values()) else 0

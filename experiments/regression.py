@@ -7,10 +7,10 @@ versions of what it calls and the processor that kernels are compiled for.
 import json
 import math
 import platform
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.files import read_json_object, write_text
@@ -34,8 +34,7 @@ LENGTH_SHARE = 0.5  # between the mean lengths over a planner's runs
 WHAT_DECIDES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
 
 
-@dataclass(frozen=True, order=True)
-class Case:
+class Case(NamedTuple):
     """One run: planner, problem, seed, budget in iterations, suite."""
 
     planner: str
@@ -49,44 +48,39 @@ class Case:
         return f"{self.planner}, problem {problem}, seed {self.seed}, {self.iterations} iterations"
 
 
-def _cases(planner: str, problems: Iterable[int], iterations: int, suite: str = SUITE) -> list[Case]:
-    return [Case(planner, problem, seed, iterations, suite) for problem in problems for seed in (0, 1)]
-
-
+Values = Mapping[str, str | int | float | None]  # COLUMNS of a run, None where undefined
 CASES: tuple[Case, ...] = (
     Case("birrt", 5, 0, 2),  # too few: a failure is an expectation too
-    *_cases("birrt", (2, 5, 8), 20_000),
-    *_cases("ompl-projected", (2, 5), 20_000),
-    *_cases("atlas-rrt", (8, 10), 20_000),
-    *_cases("tb-rrt", (8, 10), 20_000),
-    *_cases("mpnet", (2, 5), 20_000),
-    *_cases("cvq-mpt", (2, 5), 20_000),
-    *_cases("opt-cvq-mpt", (2, 5), 20_000),
-    *_cases("opt-algorithm-2", (5,), 20_000),  # guards the latent update, which no other planner uses
-    *_cases("roadmap-cvq", (2, 5, 8), 20_000),
-    *_cases("birrt", (1,), 20_000, "sensor"),  # from rendered images, through filters, in a map
-    *_cases("roadmap-cvq", (1,), 20_000, "sensor"),
+    *(
+        Case(planner, problem, seed, 20_000, suite)
+        for planner, problems, suite in (
+            ("birrt", (2, 5, 8), SUITE),
+            ("ompl-projected", (2, 5), SUITE),
+            ("atlas-rrt", (8, 10), SUITE),
+            ("tb-rrt", (8, 10), SUITE),
+            ("mpnet", (2, 5), SUITE),
+            ("cvq-mpt", (2, 5), SUITE),
+            ("opt-cvq-mpt", (2, 5), SUITE),
+            ("opt-algorithm-2", (5,), SUITE),  # guards the latent update, which no other planner uses
+            ("roadmap-cvq", (2, 5, 8), SUITE),
+            ("birrt", (1,), "sensor"),  # from rendered images, through filters, in a map
+            ("roadmap-cvq", (1,), "sensor"),
+        )
+        for problem in problems
+        for seed in (0, 1)
+    ),
 )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What came of a case: its COLUMNS, None where undefined."""
-
-    case: Case
-    values: Mapping[str, str | int | float | None]
-
-
-@dataclass(frozen=True)
-class Expectations:
-    """Committed outcomes, and the machine and versions they were made with."""
+class Expectations(NamedTuple):
+    """Committed values of cases, and the machine and versions they were made with."""
 
     made_with: Mapping[str, str | None]
-    outcomes: tuple[Outcome, ...]
+    outcomes: Mapping[Case, Values]
 
     def save(self, path: Path) -> None:
         """Write the json file at once or not at all."""
-        rows = [{**asdict(item.case), "expected": dict(item.values)} for item in self.outcomes]
+        rows = [{**case._asdict(), "expected": dict(values)} for case, values in self.outcomes.items()]
         record = {"schema": SCHEMA, "made_with": dict(self.made_with), "runs": rows}
         write_text(path, json.dumps(record, indent=1) + "\n")
 
@@ -97,23 +91,15 @@ class Expectations:
             record = read_json_object(path, "expectations")
             if record["schema"] != SCHEMA:
                 raise ValueError(f"schema {record['schema']!r}, not {SCHEMA!r}")
-            outcomes = []
+            outcomes = {}
             for row in record["runs"]:
                 values = row.pop("expected")
-                outcomes.append(Outcome(Case(**row), {column: values[column] for column in COLUMNS}))
-            return Expectations(dict(record["made_with"]), tuple(outcomes))
+                outcomes[Case(**row)] = {column: values[column] for column in COLUMNS}
+            return Expectations(dict(record["made_with"]), outcomes)
         except (CvqmptError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InvalidInputError(
                 f"cannot use {path} ({error}); write it with: cvqmpt check-tables --update"
             ) from error
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """How outcomes were compared (one line) and in what they differ (one line each)."""
-
-    mode: str
-    differences: tuple[str, ...]
 
 
 def made_with() -> dict[str, str | None]:
@@ -135,85 +121,73 @@ def _problem(suite: str, index: int) -> PlanningProblem:
     return with_sampled_goals(problem)[0]
 
 
-def run_case(case: Case) -> Outcome:
-    """Plan, simplify and certify one case."""
-    run = Run(case.suite, case.problem, case.planner, case.seed, Budget(iterations=case.iterations))
-    solution = solve(
-        _problem(case.suite, case.problem),
-        planner_named(case.planner),
-        run.budget,
-        case.seed,
-        clearance=False,
-    )
-    row = result_row(run, solution, goal_seconds=0.0)
-    return Outcome(case, {column: getattr(row, column) for column in COLUMNS})
-
-
 def measure(
     cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None
-) -> tuple[Outcome, ...]:
-    """Run the cases one by one; on_progress is called with (done, total, last case)."""
-    outcomes = []
-    for done, case in enumerate(cases, start=1):
-        outcomes.append(run_case(case))
+) -> dict[Case, Values]:
+    """Plan, simplify and certify the cases one by one; on_progress is called with (done, total, last case)."""
+    outcomes: dict[Case, Values] = {}
+    for case in cases:
+        budget, problem = Budget(iterations=case.iterations), _problem(case.suite, case.problem)
+        solution = solve(problem, planner_named(case.planner), budget, case.seed, clearance=False)
+        row = result_row(Run(case.suite, case.problem, case.planner, case.seed, budget), solution, 0.0)
+        outcomes[case] = {column: getattr(row, column) for column in COLUMNS}
         if on_progress:
-            on_progress(done, len(cases), str(case))
-    return tuple(outcomes)
+            on_progress(len(outcomes), len(cases), str(case))
+    return outcomes
 
 
 def compare(
-    expected: Expectations, outcomes: Sequence[Outcome], here: Mapping[str, str | None]
-) -> Comparison:
-    """Equality on the platform and versions of the expectations, stated bounds elsewhere.
+    expected: Expectations, outcomes: Mapping[Case, Values], here: Mapping[str, str | None]
+) -> tuple[str, list[str]]:
+    """How outcomes were compared and the differences, a line each.
+
+    Equality on the platform and versions of the expectations, stated bounds elsewhere.
 
     here: what `made_with` says of the present machine.
     """
-    committed = {item.case: item for item in expected.outcomes}
-    pairs = [(committed[item.case], item) for item in outcomes if item.case in committed]
-    missing = sorted({item.case for item in outcomes} ^ committed.keys())
+    pairs = [
+        (case, expected.outcomes[case], new) for case, new in outcomes.items() if case in expected.outcomes
+    ]
+    missing = sorted(outcomes.keys() ^ expected.outcomes.keys())
     differences = [f"{case}: not in both, committed and run" for case in missing]
     other = [name for name in here if here[name] != expected.made_with.get(name)]
     if not other:
         mode = "exactly: same processor and versions as the expectations"
-        return Comparison(mode, (*differences, *_unequal(pairs)))
+        return mode, differences + _unequal(pairs, COLUMNS)
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
         f"by bounds, not bit for bit, since {changed}: reasons equal; per planner counts within a factor "
         f"{COUNT_FACTOR:g} and lengths within {LENGTH_SHARE:.0%}"
     )
-    return Comparison(mode, (*differences, *_out_of_bounds(pairs)))
+    return mode, differences + _unequal(pairs, ("fail_reason",)) + _out_of_bounds(pairs)
 
 
-def _unequal(pairs: Sequence[tuple[Outcome, Outcome]], columns: Sequence[str] = COLUMNS) -> list[str]:
+def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str]) -> list[str]:
     """A line for the first column in which a run differs, for every run that does."""
     found = []
-    for old, new in pairs:
-        column = next((name for name in columns if old.values[name] != new.values[name]), None)
+    for case, old, new in pairs:
+        column = next((name for name in columns if old[name] != new[name]), None)
         if column is not None:
-            found.append(f"{new.case}: {column} was {old.values[column]}, is {new.values[column]}")
+            found.append(f"{case}: {column} was {old[column]}, is {new[column]}")
     return found
 
 
-def _out_of_bounds(pairs: Sequence[tuple[Outcome, Outcome]]) -> list[str]:
-    """Unequal reasons of failure, and planners whose typical count or length is outside the stated bounds."""
-    found = _unequal(pairs, ("fail_reason",))
-    solved = [
-        (old.values, new.values, new.case.planner)
-        for old, new in pairs
-        if old.values["fail_reason"] is new.values["fail_reason"] is None
-    ]
-    for planner in dict.fromkeys(name for *_, name in solved):
-        both = [(old, new) for old, new, name in solved if name == planner]
+def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]]) -> list[str]:
+    """Planners whose typical count or length is outside the stated bounds."""
+    found = []
+    solved: dict[str, list[tuple[Values, Values]]] = {}
+    for case, old, new in pairs:
+        if old["fail_reason"] is new["fail_reason"] is None:
+            solved.setdefault(case.planner, []).append((old, new))
+    for planner, both in solved.items():
         for column in BOUNDED_COUNTS:
             logs = [math.log((1 + _number(new[column])) / (1 + _number(old[column]))) for old, new in both]
             factor = math.exp(sum(logs) / len(logs))
             if not 1 / COUNT_FACTOR <= factor <= COUNT_FACTOR:
                 found.append(f"{planner}, geometric mean of {column}: {factor:.2g} times the expectation")
-        lengths = [sum(_number(side[i]["path_length_rad"]) for side in both) for i in (0, 1)]
-        if abs(lengths[1] / lengths[0] - 1.0) > LENGTH_SHARE:
-            found.append(
-                f"{planner}, mean path_length_rad: {lengths[1] / lengths[0]:.2f} times the expectation"
-            )
+        before, after = (sum(_number(side[i]["path_length_rad"]) for side in both) for i in (0, 1))
+        if abs(after / before - 1.0) > LENGTH_SHARE:
+            found.append(f"{planner}, mean path_length_rad: {after / before:.2f} times the expectation")
     return found
 
 

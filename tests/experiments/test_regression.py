@@ -15,7 +15,7 @@ from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.vqmpt.latent_update import LatentObjective
 from experiments import regression
-from experiments.regression import CASES, EXPECTED, Case, Expectations, Outcome, compare, made_with, measure
+from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, made_with, measure
 from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable
 from paper_tables.suite_tables import render_directory
 
@@ -43,22 +43,21 @@ class BrokenBiRRT(BiRRT):
 
 
 def test_runs_repeat_whatever_ran_before(few):
-    again = measure(FEW[::-1])
-    assert again[::-1] == few
-    assert compare(Expectations(HERE, few), few, HERE).differences == ()
-    assert len({item.values["path_sha256"] for item in few}) == len(FEW)
+    assert measure(FEW[::-1]) == few
+    assert compare(Expectations(HERE, few), few, HERE)[1] == []
+    assert len({values["path_sha256"] for values in few.values()}) == len(FEW)
 
 
 def test_a_changed_planner_turns_red_here_and_a_broken_one_also_elsewhere(few, monkeypatch):
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BiRRT(extend_both=False)))
-    found = compare(Expectations(HERE, few), measure(FEW), HERE)
-    assert found.mode.startswith("exactly")
-    assert len(found.differences) == 2, "both runs of birrt, and none of ompl-projected"
-    assert found.differences[0].startswith("birrt, problem 2, seed 0, 20000 iterations: n_iterations was ")
+    mode, found = compare(Expectations(HERE, few), measure(FEW), HERE)
+    assert mode.startswith("exactly")
+    assert len(found) == 2, "both runs of birrt, and none of ompl-projected"
+    assert found[0].startswith("birrt, problem 2, seed 0, 20000 iterations: n_iterations was ")
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BrokenBiRRT()))
-    found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
-    assert "by bounds, not bit for bit, since cpu_model this one -> another one" in found.mode
-    reasons = [line.partition(": ")[2] for line in found.differences]
+    mode, found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
+    assert "by bounds, not bit for bit, since cpu_model this one -> another one" in mode
+    reasons = [line.partition(": ")[2] for line in found]
     assert reasons == ["fail_reason was None, is iteration_limit"] * 2
 
 
@@ -118,7 +117,7 @@ def outcome(seed=0, planner="birrt", **values):
         "path_length_rad": 8.0,
         "path_sha256": "a",
     }
-    return Outcome(Case(planner, 1, seed, 10), plain | values)
+    return {Case(planner, 1, seed, 10): plain | values}
 
 
 @pytest.mark.parametrize(
@@ -137,16 +136,16 @@ def outcome(seed=0, planner="birrt", **values):
     ],
 )  # fmt: skip
 def test_equality_here_and_stated_bounds_elsewhere(changes, exactly, by_bounds):
-    expected = Expectations(HERE, (outcome(0), outcome(1)))
-    outcomes = [outcome(seed, **values) for seed, values in enumerate(changes)]
+    expected = Expectations(HERE, outcome(0) | outcome(1))
+    outcomes = outcome(0, **changes[0]) | outcome(1, **changes[1])
     for here, wanted in ((HERE, exactly), (ELSEWHERE, by_bounds)):
-        found = compare(expected, outcomes, here).differences
+        _, found = compare(expected, outcomes, here)
         assert len(found) == len(wanted)
         assert all(words in line for words, line in zip(wanted, found, strict=True)), found
 
 
 def test_runs_without_expectation_and_expectations_without_run_are_named():
-    found = compare(Expectations(HERE, (outcome(0), outcome(1))), [outcome(1), outcome(2)], HERE).differences
+    _, found = compare(Expectations(HERE, outcome(0) | outcome(1)), outcome(1) | outcome(2), HERE)
     assert [line.split(", ")[2] for line in found] == ["seed 0", "seed 2"]
 
 
@@ -175,9 +174,9 @@ def test_unreadable_expectations_name_the_cure(tmp_path, text):
 
 def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     committed = Expectations.load(EXPECTED)
-    assert sorted(item.case for item in committed.outcomes) == sorted(CASES)
+    assert sorted(committed.outcomes) == sorted(CASES)
     assert {case.planner for case in CASES} == {*table.PLANNERS, "opt-algorithm-2"}
-    assert {item.values["fail_reason"] for item in committed.outcomes} == {None, "iteration_limit"}
+    assert {values["fail_reason"] for values in committed.outcomes.values()} == {None, "iteration_limit"}
 
 
 # ---------------------------------------------------------------- tables
