@@ -46,22 +46,13 @@ def tables(seed, queries=1, goal=0.15):
     return both / both.sum(-1, keepdims=True)
 
 
-def log_probability(table, codes, finished=True):
-    path = (*codes, GOAL) if finished else codes
-    return sum(np.log(given(table, path[:i])[code]) for i, code in enumerate(path))
-
-
-def is_allowed(codes):
-    return all(a != b for a, b in itertools.pairwise(codes))
-
-
 def beam_by_hand(table, k, length):
     """Keep the k best of all continuations, finished ones included, until one of those ranks first."""
     beams = [((), 0.0)]
     for step in range(length):
         candidates = []
         for codes, score in beams:
-            if codes and codes[-1] == GOAL:
+            if codes[-1:] == (GOAL,):
                 candidates.append((codes, score))
                 continue
             for code in (*range(CODES), GOAL):
@@ -70,24 +61,22 @@ def beam_by_hand(table, k, length):
         beams = sorted(candidates, key=lambda c: -c[1])[:k]
         if beams[0][0][-1] == GOAL:
             return beams[0]
-    finished = [beam for beam in beams if beam[0][-1] == GOAL]
-    return (finished or beams)[0]
+    return next((beam for beam in beams if beam[0][-1] == GOAL), beams[0])
 
 
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(("beams", "length"), [(1, 12), (2, 1), (2, 2), (2, 4), (2, 12), (4, 12)])
 def test_beams_in_a_batch_are_searched_as_if_alone(seed, beams, length):
     table = tables(seed, queries=5)
-    found = beam_search(TableDecoder(table), beams=beams, max_length=length)
-    for query in range(5):
+    for query, found in enumerate(beam_search(TableDecoder(table), beams=beams, max_length=length)):
         codes, score = beam_by_hand(table[query], beams, length)
-        assert found[query].finished == (codes[-1] == GOAL)
-        assert found[query].codes == tuple(code for code in codes if code != GOAL)
-        assert found[query].score == found[query].log_probability == pytest.approx(score, abs=1e-5)
+        assert found.finished == (codes[-1] == GOAL)
+        assert found.codes == tuple(code for code in codes if code != GOAL)
+        assert found.score == found.log_probability == pytest.approx(score, abs=1e-5)
 
 
 def published_by_hand(table, k, length):
-    """Return codes, score and whether the goal token came, by the rules of the published code."""
+    """Codes with the goal token, if it came, and score, by the rules of the published code."""
     ranked = sorted(range(CODES), key=lambda code: -given(table, ())[code])[:k]
     beams = [((code,), np.log(given(table, ())[code])) for code in ranked]
     for _ in range(length - 1):
@@ -95,49 +84,41 @@ def published_by_hand(table, k, length):
         candidates = [
             ((*codes, code), score + given(table, codes)[code])
             for codes, score in beams
-            for code in (*range(CODES), GOAL)
-            if code not in forbidden
+            for code in {*range(CODES), GOAL} - forbidden
         ]
         beams = sorted(candidates, key=lambda c: -c[1])[:k]
         for codes, score in beams:
             if codes[-1] == GOAL:
-                return codes[:-1], score, True
-    return beams[0][0], beams[0][1], False
+                return codes, score
+    return beams[0]
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_published_scoring(seed):
+def test_scored_as_published(seed):
     table = tables(seed, queries=4, goal=0.03)
-    found = beam_search(TableDecoder(table), beams=3, max_length=6, published=True)
-    for query in range(4):
-        codes, score, finished = published_by_hand(table[query], 3, 6)
-        assert (found[query].codes, found[query].finished) == (codes, finished)
-        assert found[query].score == pytest.approx(score, abs=1e-5)
-        assert found[query].log_probability == pytest.approx(
-            log_probability(table[query], codes, finished), abs=1e-5
-        )
+    for query, found in enumerate(beam_search(TableDecoder(table), max_length=6, published=True)):
+        codes, score = published_by_hand(table[query], 3, 6)
+        assert found.codes + (GOAL,) * found.finished == codes
+        assert found.score == pytest.approx(score, abs=1e-5)
+        steps = [np.log(given(table[query], codes[:i])[code]) for i, code in enumerate(codes)]
+        assert found.log_probability == pytest.approx(sum(steps), abs=1e-5)
 
 
-def test_a_goal_that_never_comes_is_said():
-    table = tables(0, goal=1e-9)
-    sequence = beam_search(TableDecoder(table), beams=2, max_length=5)[0]
-    assert not sequence.finished
-    assert len(sequence.codes) == 5 and is_allowed(sequence.codes)
+def test_a_goal_that_never_comes_is_reported():
+    sequence = beam_search(TableDecoder(tables(0, goal=1e-9)), beams=2, max_length=5)[0]
+    assert not sequence.finished and len(sequence.codes) == 5
+    assert all(a != b for a, b in itertools.pairwise(sequence.codes))
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("table", "options", "message"),
     [
-        ({"beams": 0}, "0 beams; give 1 to 4"),
-        ({"beams": 5}, "5 beams; give 1 to 4"),
-        ({"max_length": 0}, "0 tokens"),
+        (tables(0), {"beams": 0}, "0 beams; give 1 to 4"),
+        (tables(0), {"beams": 5}, "5 beams; give 1 to 4"),
+        (tables(0), {"max_length": 0}, "0 tokens"),
+        (tables(0) * np.nan, {}, "not finite"),
     ],
 )
-def test_bad_options_of_the_search(arguments, message):
+def test_what_cannot_be_searched_is_refused(table, options, message):
     with pytest.raises(InvalidInputError, match=message):
-        beam_search(TableDecoder(tables(0)), **arguments)
-
-
-def test_logits_that_are_not_finite_are_refused():
-    with pytest.raises(InvalidInputError, match="not finite"):
-        beam_search(TableDecoder(np.full((1, STEPS, CODES + 1, CODES + 2), np.nan)))
+        beam_search(TableDecoder(table), **options)

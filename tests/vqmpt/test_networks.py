@@ -1,6 +1,5 @@
 """Both stages as published, against formulas written out a second time."""
 
-import json
 import math
 
 import numpy as np
@@ -60,21 +59,16 @@ def layer_norm(x, norm):
 
 
 def attention_by_hand(block, query, context, visible=None):
-    """One head after the other, one query after the other."""
     q, kv = layer_norm(query, block.layer_norm), layer_norm(context, block.layer_norm)
     heads = []
     for h in range(3):
         wq, wk = (w.weight[10 * h : 10 * h + 10] for w in (block.w_qs, block.w_ks))
-        wv = block.w_vs.weight[6 * h : 6 * h + 6]
-        rows = []
-        for i in range(query.shape[1]):
-            score = torch.stack([(q[0, i] @ wq.T) @ (wk @ kv[0, j]) for j in range(context.shape[1])])
-            score = score / math.sqrt(10)
-            if visible is not None:
-                score[~visible[0]] = -torch.inf
-            rows.append(torch.exp(score) / torch.exp(score).sum() @ (kv[0] @ wv.T))
-        heads.append(torch.stack(rows))
-    return query + (torch.cat(heads, -1) @ block.fc.weight.T)[None]
+        score = (q @ wq.T) @ (kv @ wk.T).mT / math.sqrt(10)
+        if visible is not None:
+            score = score.masked_fill(~visible[:, None], -torch.inf)
+        share = torch.exp(score) / torch.exp(score).sum(-1, keepdim=True)
+        heads.append(share @ (kv @ block.w_vs.weight[6 * h : 6 * h + 6].T))
+    return query + torch.cat(heads, -1) @ block.fc.weight.T
 
 
 def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
@@ -198,13 +192,6 @@ def test_quantization_loss_stops_the_gradients_it_should():
     torch.testing.assert_close(z_q.grad, (z_q - z).detach())
 
 
-def test_every_stage1_parameter_gets_a_gradient():
-    dictionary = Dictionary(SMALL)
-    u = torch.rand(2, 6, 7)
-    stage1_loss(dictionary(u), u, torch.ones(2, 6, dtype=torch.bool), 0.25).total.backward()
-    assert not [name for name, p in dictionary.named_parameters() if p.grad is None]
-
-
 def test_dictionary_decodes_what_it_encodes():
     dictionary = Dictionary(SMALL).eval()
     u = torch.rand(2, 6, 7)
@@ -286,11 +273,6 @@ def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
     torch.testing.assert_close(
         sequence_loss(logits[visible], targets[visible], 2), -torch.stack(picked).sum() / 2
     )
-
-
-@pytest.mark.parametrize("config", [SMALL, ModelConfig(), ModelConfig.compact(feature_dim=24)])
-def test_config_survives_json(config):
-    assert from_plain(ModelConfig, json.loads(json.dumps(to_plain(config)))) == config
 
 
 @pytest.mark.parametrize(

@@ -5,20 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from small_models import METADATA, compact_config, random_checkpoint
-from training_data import LOWER, UPPER, kinematics
+from small_models import random_checkpoint
 
-from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.training.stage1 import LinkPositions
 from cvqmpt_lab.vqmpt import predictor as predictor_module
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence
 from cvqmpt_lab.vqmpt.checkpoint import stored
-from cvqmpt_lab.vqmpt.codebook import Codebook, ModelConfigurations
-from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, GOAL_STD, Predictor, PredictorSettings, union
-from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 BEAM = PredictorSettings(uniform_share=0.15, std_floor=None)
 
@@ -44,15 +39,6 @@ def predictor(panda, checkpoint):
 @pytest.fixture(scope="module")
 def prediction(predictor, queries):
     return predictor.predict(*queries)
-
-
-def test_configurations_are_those_of_training(panda):
-    q = panda.random_configurations(np.random.default_rng(0), 300)
-    ours = ModelConfigurations(stored(random_checkpoint(panda, compact_config())), panda)
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), from_plain(SerialChain, kinematics()))
-    u = ours.normalised(q)
-    np.testing.assert_allclose(ours.of(q), links.configurations(torch.from_numpy(u).float()), atol=1e-6)
-    np.testing.assert_allclose(ours.radians(u), q, atol=1e-12)
 
 
 def test_codes_are_those_of_the_sequences_with_the_dictionary_s_gaussians(panda, checkpoint, prediction):
@@ -176,28 +162,9 @@ def test_bad_input_is_one_line(predictor, change, message):
     assert "\n" not in str(caught.value)
 
 
-def changed_kinematics(**changes):
-    return {"metadata": {"kinematics": METADATA["kinematics"] | changes}}
-
-
-@pytest.mark.parametrize(
-    ("config", "change", "message"),
-    [
-        (compact_config(), {"metadata": {}}, "its metadata has no kinematics"),
-        (compact_config(), changed_kinematics(points=[1, 2]), "points and offsets describe 7, 7, 2 and 4"),
-        (
-            compact_config(),
-            changed_kinematics(translation=np.full((7, 3), 0.01).tolist()),
-            "another translation of joint 'panda_joint5' .difference 0.374",
-        ),
-        (None, {"sequence_model": None}, "train stage2"),
-        (None, {"robot": RobotSignature("ur5", tuple(LOWER), tuple(UPPER))}, "for robot 'ur5', not 'panda'"),
-    ],
-)  # fmt: skip
-def test_models_that_do_not_fit_are_refused(panda, config, change, message):
-    model = stored(dataclasses.replace(random_checkpoint(panda, config), **change))
-    with pytest.raises(InvalidInputError, match=message):
-        ModelConfigurations(model, panda) if config else Predictor(model, panda)
+def test_a_model_of_stage_1_alone_predicts_nothing(panda, checkpoint):
+    with pytest.raises(InvalidInputError, match="train stage2"):
+        Predictor(stored(dataclasses.replace(checkpoint, sequence_model=None)), panda)
 
 
 @pytest.mark.parametrize(("name", "value"), [("uniform_share", 1.5), ("std_floor", 0.0)])
