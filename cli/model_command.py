@@ -78,7 +78,7 @@ def _info(folder: Path) -> dict[str, Any]:
         f"{name}.safetensors": {
             "bytes": (folder / f"{name}.safetensors").stat().st_size,
             "numbers": sum(array.size for array in arrays.values()),
-            "sha256": description.sha256[name],
+            "sha256": description["sha256"][name],
         }
         for name, arrays in model.parts.items()
     }

@@ -1,1 +1,1 @@
-"""VQ-MPT, the learned sampler: its two stages, their training weights, prediction and the update of codes."""
+"""VQ-MPT, the learned sampler: stage 1 is `dictionary`, stage 2 `transformer`, Algorithm 2 `latent_update`."""

@@ -203,21 +203,10 @@ def recover_weights(folder: Path) -> None:
         shutil.rmtree(beside, ignore_errors=True)
 
 
-@dataclass(frozen=True)
-class Description:
-    """What ``config.json`` says beside its format."""
-
-    architecture: str
-    model: Mapping[str, Any]  # sizes and options, as the architecture's configuration writes them
-    robot: RobotSignature
-    metadata: Mapping[str, Any]
-    sha256: Mapping[str, str]  # of each part's file, by name of the part
-
-
 def read_description(
     folder: Path, architecture: str | None = None, robot: RobotSignature | None = None
-) -> Description:
-    """Read ``config.json``.
+) -> dict[str, Any]:
+    """Read ``config.json``: its fields as `write_model` writes them, the robot as a `RobotSignature`.
 
     Raises
     ------
@@ -237,9 +226,7 @@ def read_description(
     signature = from_plain(RobotSignature, data["robot"], f"{path}: robot")
     if robot is not None:
         signature.require_same(robot)
-    return Description(
-        str(data.get("architecture")), data["model"], signature, data["metadata"], data["sha256"]
-    )
+    return {**data, "architecture": str(data.get("architecture")), "robot": signature}
 
 
 def read_model(
@@ -253,21 +240,20 @@ def read_model(
         Also naming the file that is missing or damaged (sha256), or the wrong field of the model's sizes.
     """
     description = read_description(folder, architecture, robot)
-    of = description.architecture
+    of, listed = description["architecture"], description["sha256"]
     if of not in CONFIGS:
         raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, CONFIGS)
-    config = from_plain(CONFIGS[of], description.model, "model", complete=True)
+    config = from_plain(CONFIGS[of], description["model"], "model", complete=True)
     first, *others = PARTS[of]
-    names = [first, *(name for name in others if name in description.sha256)]
-    parts = {name: _read_part(folder, description, name) for name in names}
-    return StoredModel(of, config, description.robot, parts, description.metadata)
+    names = [first, *(name for name in others if name in listed)]
+    parts = {name: _read_part(folder, listed, name) for name in names}
+    return StoredModel(of, config, description["robot"], parts, description["metadata"])
 
 
-def _read_part(folder: Path, description: Description, name: str) -> dict[str, np.ndarray]:
-    path = Path(folder) / f"{name}.safetensors"
-    expected = description.sha256.get(name)
+def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, np.ndarray]:
+    path, expected = Path(folder) / f"{name}.safetensors", sha256.get(name)
     if expected is None:
-        listed = ", ".join(description.sha256) or "nothing"
+        listed = ", ".join(sha256) or "nothing"
         raise InvalidInputError(f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}")
     data = read_bytes(require_regular_file(path, "weights"), "weights")
     found = hashlib.sha256(data).hexdigest()
@@ -330,7 +316,7 @@ def resolve_model(
 
 @lru_cache(maxsize=8)
 def _signature(model: str, kind: str) -> RobotSignature:
-    return read_description(resolve_model(model, SHIPPED[kind]), SHIPPED[kind]).robot
+    return read_description(resolve_model(model, SHIPPED[kind]), SHIPPED[kind])["robot"]
 
 
 def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:

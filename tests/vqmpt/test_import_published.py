@@ -122,12 +122,3 @@ def test_files_that_are_something_else_are_called_what_they_are(tmp_path, make, 
     with pytest.raises(InvalidInputError, match=rf"x\.pkl ?{message}") as caught:
         read_tensors(tmp_path / "x.pkl")
     assert "\n" not in str(caught.value)
-
-
-def test_a_legacy_pickle_cut_anywhere_is_one_line(tmp_path):
-    legacy({"a": torch.zeros(3)}, tmp_path / "whole.pkl")
-    whole = (tmp_path / "whole.pkl").read_bytes()
-    for length in range(0, len(whole), 7):
-        (tmp_path / "cut.pkl").write_bytes(whole[:length])
-        with pytest.raises(InvalidInputError, match=r"cut\.pkl is"):
-            read_tensors(tmp_path / "cut.pkl")

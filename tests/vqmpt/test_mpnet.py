@@ -1,14 +1,12 @@
 """MPNet: sizes, dropout that stays on, weights on disk."""
 
-import numpy as np
 import pytest
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet, dropout
-from cvqmpt_lab.vqmpt.weights import MPNET, RobotSignature, read_model
+from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 SMALL = MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 12, 8))
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
@@ -57,13 +55,3 @@ def test_dropout_stays_on_and_repeats_by_seed(network):
     dropped = dropout(torch.ones(200, 200), 0.5, torch.Generator().manual_seed(0))
     assert set(dropped.unique().tolist()) == {0.0, 2.0}
     assert float(dropped.mean()) == pytest.approx(1.0, abs=0.02)
-
-
-def test_round_trip(network, tmp_path):
-    save_checkpoint(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
-    loaded = read_model(tmp_path / "m", ROBOT, MPNET)
-    assert (loaded.config, loaded.robot, loaded.metadata) == (SMALL, ROBOT, {"note": "x"})
-    for name, tensor in network.state_dict().items():
-        np.testing.assert_array_equal(loaded.parts["mpnet"][name], tensor)
-    with pytest.raises(InvalidInputError, match="not 'leg'"):
-        read_model(tmp_path / "m", RobotSignature("leg", ROBOT.lower, ROBOT.upper))

@@ -7,7 +7,6 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import point_encoder
 from cvqmpt_lab.vqmpt.config import PointCloudConfig, SetAbstractionConfig
-from cvqmpt_lab.vqmpt.inputs import require_point_cloud
 from cvqmpt_lab.vqmpt.point_encoder import (
     PointCloudEncoder,
     SetAbstraction,
@@ -95,17 +94,3 @@ def test_encoder_thins_twice_and_trains(points):
     assert tokens.features.shape == (2, 3, 6)
     tokens.features.sum().backward()
     assert not [name for name, p in encoder.named_parameters() if p.grad is None]
-
-
-@pytest.mark.parametrize(
-    ("cloud", "message"),
-    [
-        (torch.zeros(1, 3), "1 points; give at least 2"),
-        (torch.zeros(5, 2), "shape"),
-        (torch.tensor([[0.0, 0.0, 0.0], [torch.nan, 0.0, 0.0]]), "1 points with NaN"),
-        (torch.tensor([[0.0, 0.0, 0.0], [800.0, 0.0, 0.0]]), "800 m.*not millimetres"),
-    ],
-)
-def test_unusable_clouds_are_named(cloud, message):
-    with pytest.raises(InvalidInputError, match=message):
-        require_point_cloud(cloud)

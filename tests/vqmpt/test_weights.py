@@ -10,10 +10,11 @@ import torch
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import weights
-from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from cvqmpt_lab.vqmpt.config import DictionaryConfig, ModelConfig, TransformerConfig
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, MPNetCheckpoint, load_checkpoint, save_checkpoint
+from cvqmpt_lab.vqmpt.config import DictionaryConfig, ModelConfig, MPNetConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.weights import OtherRobotError, RobotSignature, weights_digest
+from cvqmpt_lab.vqmpt.mpnet import MPNet
+from cvqmpt_lab.vqmpt.weights import MPNET, OtherRobotError, RobotSignature, read_model, weights_digest
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 SIZES = TransformerConfig(n_layers=1, n_heads=1, d_k=4, d_v=4, d_model=8, d_inner=8)
@@ -37,6 +38,15 @@ def test_round_trip(folder):
         assert torch.equal(tensor, other.state_dict()[name])
     assert weights_digest(folder) != first
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
+
+
+def test_mpnet_too(tmp_path):
+    network = MPNet(MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 8)))
+    save_checkpoint(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
+    loaded = read_model(tmp_path / "m", ROBOT, MPNET)
+    assert (loaded.config, loaded.robot, loaded.metadata) == (network.config, ROBOT, {"note": "x"})
+    for name, tensor in network.state_dict().items():
+        assert torch.equal(torch.from_numpy(loaded.parts["mpnet"][name]), tensor)
 
 
 @pytest.mark.parametrize("name", ["write_bytes", "_move_into_place"])
@@ -147,18 +157,11 @@ def test_signatures_survive_json_and_earlier_versions_are_read():
 @pytest.mark.parametrize(
     "change",
     [
-        {"name": 3},
-        {"lower": "low"},
-        {"lower": ["-1", "-1"]},
-        {"upper": [10**400, 2]},
-        {"upper": [float("nan"), 2]},
-        {"lower": [3, 3]},
-        {"lower": [], "upper": []},
-        {"joints": "elbow"},
-        {"joints": ["elbow"]},
+        {"name": 3}, {"lower": "low"}, {"lower": ["-1", "-1"]}, {"lower": [3, 3]}, {"lower": [], "upper": []},
+        {"upper": [10**400, 2]}, {"upper": [float("nan"), 2]}, {"joints": "elbow"}, {"joints": ["elbow"]},
         {"kinematics": 5},
     ],
-)
+)  # fmt: skip
 def test_what_is_no_signature_is_refused(change):
     with pytest.raises(InvalidInputError, match=r"^config: robot"):
         from_plain(RobotSignature, to_plain(ARM) | change, "config: robot")
