@@ -11,6 +11,7 @@ import os
 import resource
 import signal
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
@@ -18,6 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
@@ -93,8 +95,11 @@ def _detail(error: BaseException) -> str:
 @contextmanager
 def local_processes(count: int, limit_s: float | None = None) -> Iterator[Executor]:
     """Processes on this machine; limit_s: time [s] after which a task is given up."""
+    import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
 
+    # pebble counts limits by the system clock; one that is set forward must not end tasks
+    vars(pebble.pool.process)["time"] = SimpleNamespace(time=time.monotonic, sleep=time.sleep)
     start = "fork" if sys.platform == "linux" else "spawn"
     pool = ProcessPool(
         count,

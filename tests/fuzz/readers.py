@@ -190,8 +190,6 @@ def render(path):
 @cache
 def network():
     """Description and tensors of a small MPNet."""
-    import torch
-
     sizes = MPNetConfig(n_points=20, encoder_widths=(8,), code_dim=4, planner_widths=(8, 6))
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as parent:
