@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -36,7 +35,6 @@ from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import (
     ROADMAP_FILE,
     RoadmapGraph,
-    RoadmapShard,
     packed_shard,
     read_roadmap_shards,
 )
@@ -45,37 +43,6 @@ STARTS, GOALS = 16, 48  # configurations of a scene between which paths are look
 LINKS = 20  # nodes that each is linked to
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
-
-
-class RoadmapLabels(NamedTuple):
-    """What training learns from one scene; p pairs of start and goal."""
-
-    robot: Robot
-    scene: Scene
-    node_free: np.ndarray  # (N,) bool
-    edge_free: np.ndarray  # (E,) bool
-    ends: np.ndarray  # (p, 2, n) starts and goals [rad]
-    codes: list[np.ndarray]  # of each path, (k,); none where no path was found
-    cost: np.ndarray  # (p,) length of the shortest path [rad], inf where there is none
-    differs: (
-        np.ndarray
-    )  # (p,) bool: its codes are others than those of the shortest path that ignores the scene
-
-
-class ShortestPaths(NamedTuple):
-    """Shortest paths from every start to every goal."""
-
-    cost: np.ndarray  # (s, g) [rad], inf where there is none
-    before: np.ndarray  # (s, rows) row before each row on the way from a start, negative where there is none
-    first_goal: int  # row of goal 0; smaller ones below the number of nodes are codes
-
-    def codes(self, start: int, goal: int) -> np.ndarray:
-        """Codes (k,) from a start to a goal, none where there is no path."""
-        rows, row = [], int(self.before[start, self.first_goal + goal])
-        while row >= 0:
-            rows.append(row)
-            row = int(self.before[start, row])
-        return np.array(rows[-2::-1], np.int64)  # the last one is the start itself
 
 
 @dataclass(frozen=True)
@@ -95,68 +62,65 @@ class RoadmapRecipe(SceneRecipe):
     def shard(self, number: int) -> Shard:
         """Scenes with all their nodes and edges checked."""
         robot = robot_from_source(self.robot)
-        graph, scenes = _graph(self.model, robot), []
+        graph, scenes, labels = _graph(self.model, robot), [], []
         for index, family, scene_number, scene in self.scenes_of(number):
-            draw = roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
-            if draw is not None:
-                scenes.append((family, scene_number, draw))
-        return packed_shard(number, roadmap_arrays(scenes))
+            found = roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
+            if found is not None:
+                labels.append(found)
+                scenes.append((family, scene_number, scene))
+        arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
+        paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
+        arrays["path_scene"] = paths.astype(np.int32)
+        arrays["code_start"] = np.cumsum([0, *arrays["code_start"]], dtype=np.int32)
+        return packed_shard(number, scene_shapes(scenes) | arrays)
 
     def card(self, out: Path) -> str:
         """Counts, shares and lengths by family, of both splits."""
         shards = read_roadmap_shards(out)
         graph = shards[0].graph
-        lines = [
-            "# Labels on a dictionary's roadmap",
-            "",
-            f"{len(graph.nodes)} nodes and {len(graph.edges)} edges of the dictionary {graph.digest[:12]}; the robot "
-            f"itself allows {graph.node_possible.mean():.3f} of the nodes and {graph.edge_possible.mean():.3f} of the "
-            f"edges. Scenes whose number is divisible by {VALIDATION_EVERY} validate. Pairs of start and goal, half of "
-            "them near an obstacle, whose straight motion is blocked. No path: through this roadmap. Others than "
-            "blind: the codes differ from those of the shortest path in an empty scene. Detour: length of the shortest "
-            "path over that of the straight line, mean. Scenes with a wall millimetres "
-            f"from the base are left out: {self.scenes - sum(len(shard.arrays['family']) for shard in shards)}.",
-            "",
-            "| family | scenes | of them validate | nodes free | edges free | pairs | no path | others than blind "
-            "| detour | codes a path |",
-            "|---|---|---|---|---|---|---|---|---|---|",
-            *(_row(shards, name, [k]) for k, name in enumerate(self.families)),
-            _row(shards, "all", list(range(len(self.families)))),
-        ]
-        return "\n".join(lines) + "\n"
+        names = ("family", "scene_seed", "cost", "straight", "differs")
+        family, seed, cost, straight, differs = (
+            np.concatenate([shard.arrays[name] for shard in shards]) for name in names
+        )
+        family_of_path = np.concatenate([s.arrays["family"][s.arrays["path_scene"]] for s in shards])
+        codes = np.concatenate([np.diff(shard.arrays["code_start"]) for shard in shards])
+        each = [(shard, scene) for shard in shards for scene in range(len(shard.arrays["family"]))]
+        free = np.array([(s.node_free(k).mean(), s.edge_free(k).mean()) for s, k in each])
+
+        def row(name: str, families: Sequence[int]) -> str:
+            own, paths = np.isin(family, families), np.isin(family_of_path, families)
+            solved, validate = paths & np.isfinite(cost), own & (seed % VALIDATION_EVERY == 0)
+            start = f"| {name} | {own.sum()} | {validate.sum()} "
+            if not solved.any():
+                return f"{start}| - | - | {paths.sum()} | - | - | - | - |"
+            nodes, edges = free[own].mean(axis=0)
+            return (
+                f"{start}| {nodes:.2f} | {edges:.2f} | {paths.sum()} | {100 * (~solved[paths]).mean():.0f} % | "
+                f"{100 * differs[solved].mean():.0f} % | {(cost[solved] / straight[solved]).mean():.2f} | "
+                f"{codes[solved].mean():.1f} |"
+            )
+
+        return (
+            f"""# Labels on a dictionary's roadmap
+
+{len(graph.nodes)} nodes and {len(graph.edges)} edges of the dictionary {graph.digest[:12]}; the robot itself allows \
+{graph.node_possible.mean():.3f} of the nodes and {graph.edge_possible.mean():.3f} of the edges. Scenes whose number \
+is divisible by {VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an obstacle, whose straight \
+motion is blocked. No path: through this roadmap. Other codes: than those of the shortest path in an empty scene. \
+Detour: length of the shortest path over that of the straight line, mean. Scenes with a wall millimetres \
+from the base are left out: {self.scenes - len(family)}.
+
+| family | scenes | of them validate | nodes free | edges free | pairs | no path | other codes | detour | codes a path |
+|---|---|---|---|---|---|---|---|---|---|
+"""
+            + "".join(f"{row(name, [k])}\n" for k, name in enumerate(self.families))
+            + f"{row('all', range(len(self.families)))}\n"
+        )
 
 
 @lru_cache(maxsize=1)
 def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
     return roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt", model), robot))
-
-
-def _row(shards: list[RoadmapShard], name: str, families: list[int]) -> str:
-    """Counts and means of the scenes of some families."""
-    scenes = validate = pairs = codes = 0
-    node_free, edge_free, found, differs, detour = [], [], [], [], []
-    for shard in shards:
-        arrays = shard.arrays
-        own = np.isin(arrays["family"], families)
-        scenes += int(own.sum())
-        validate += int((own & (arrays["scene_seed"] % VALIDATION_EVERY == 0)).sum())
-        node_free += [shard.node_free(scene).mean() for scene in np.flatnonzero(own).tolist()]
-        edge_free += [shard.edge_free(scene).mean() for scene in np.flatnonzero(own).tolist()]
-        paths = own[arrays["path_scene"]]
-        solved = paths & np.isfinite(arrays["cost"])
-        pairs += int(paths.sum())
-        codes += int(np.diff(arrays["code_start"])[solved].sum())
-        found.append(np.isfinite(arrays["cost"])[paths])
-        differs.append(arrays["differs"][solved])
-        detour.append(arrays["cost"][solved] / arrays["straight"][solved])
-    if pairs == 0:
-        return f"| {name} | {scenes} | {validate} | - | - | 0 | - | - | - | - |"
-    solved_share, count = np.concatenate(found).mean(), max(int(np.concatenate(found).sum()), 1)
-    return (
-        f"| {name} | {scenes} | {validate} | {np.mean(node_free):.2f} | {np.mean(edge_free):.2f} | {pairs} "
-        f"| {100 * (1 - solved_share):.0f} % | {100 * np.concatenate(differs).mean():.0f} % "
-        f"| {np.concatenate(detour).mean():.2f} | {codes / count:.1f} |"
-    )
 
 
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
@@ -185,10 +149,15 @@ def verdicts(
 
 def roadmap_labels(
     robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
-) -> RoadmapLabels | None:
-    """Check all of a roadmap in a scene, and find shortest paths between `pairs` pairs; None: too dear, see CHECKS.
+) -> dict[str, np.ndarray] | None:
+    """Check all of a roadmap in a scene, and find shortest paths between `pairs` pairs; None after too many CHECKS.
 
     Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free are left out.
+
+    Returns
+    -------
+    Arrays as `training.shards` describes them, but with counts, of paths and of each path's codes, for path_scene
+    and code_start.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible)
@@ -196,33 +165,34 @@ def roadmap_labels(
         return None
     node_free, edge_free = checked
     ends = _ends(space, rng)
-    every = np.argwhere(np.ones((len(ends[:STARTS]), len(ends[STARTS:])), dtype=bool))
-    links = links_to_nearest(graph.nodes, ends)
-    nodes = np.concatenate([graph.nodes, ends])
+    starts, goals = ends[:STARTS], ends[STARTS:]
+    every = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
+    nodes, count = np.concatenate([graph.nodes, ends]), len(graph.nodes)
+    of_end = np.repeat(count + np.arange(len(ends)), LINKS)
+    links = np.stack([of_end, nearest_rows(graph.nodes, ends, LINKS).ravel()], axis=1).astype(np.int32)
     linked = verdicts(space, nodes, links)
     if linked is None:
         return None
-    link_free = linked[1]
-    found = shortest_paths(nodes, graph.edges[edge_free], links[link_free], len(graph.nodes))
-    blind = shortest_paths(nodes, graph.edges[graph.edge_possible], links, len(graph.nodes))
-    kept: list[tuple[int, int]] = []
+    cost, before = _shortest_paths(nodes, graph.edges[edge_free], links[linked[1]], count)
+    _, in_empty_scene = _shortest_paths(nodes, graph.edges[graph.edge_possible], links, count)
+    rows: list[tuple[int, int]] = []
     for s, g in rng.permutation(every).tolist():
-        if len(kept) < pairs and not motion_free(space.arrays, ends[s], ends[STARTS + g]):
-            kept.append((s, g))
-    codes = [found.codes(s, g) for s, g in kept]
-    rows = np.array(kept, dtype=np.int64).reshape(-1, 2)
-    return RoadmapLabels(
-        robot,
-        scene,
-        node_free,
-        edge_free,
-        ends[rows + (0, STARTS)],
-        codes,
-        found.cost[rows[:, 0], rows[:, 1]],
-        np.array(
-            [not np.array_equal(c, blind.codes(s, g)) for c, (s, g) in zip(codes, kept, strict=True)], bool
-        ),
-    )
+        if len(rows) < pairs and not motion_free(space.arrays, starts[s], goals[g]):
+            rows.append((s, g))
+    codes = [_codes(before[s], count + STARTS + g) for s, g in rows]
+    others = [_codes(in_empty_scene[s], count + STARTS + g) for s, g in rows]
+    s, g = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+    return {
+        "node_free": np.packbits(node_free)[None],
+        "edge_free": np.packbits(edge_free)[None],
+        "path_scene": np.array([len(codes)]),
+        "ends": packed(robot, np.stack([starts[s], goals[g]], axis=1)),
+        "code_start": np.array([len(path) for path in codes], np.int64),
+        "codes": np.concatenate([np.empty(0, np.int64), *codes]).astype(np.uint16),
+        "straight": np.linalg.norm(goals[g] - starts[s], axis=1).astype(np.float32),
+        "cost": cost[s, g].astype(np.float32),
+        "differs": np.array([a != b for a, b in zip(codes, others, strict=True)], bool),
+    }
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
@@ -236,17 +206,17 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
     return rng.permutation(ends)
 
 
-def links_to_nearest(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Edges (l, 2) int32 between each end, numbered after the nodes, and its nearest nodes."""
-    nearest = nearest_rows(nodes, ends, LINKS)
-    rows = len(nodes) + np.arange(len(ends))
-    return np.stack([np.repeat(rows, LINKS), nearest.ravel()], axis=1).astype(np.int32)
+def _shortest_paths(
+    nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shortest paths from every start over edges both ways to every goal, by Dijkstra.
 
+    nodes: the roadmap's `count` nodes, STARTS starts, then goals. links: from starts and goals to nodes.
 
-def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int) -> ShortestPaths:
-    """Shortest paths over edges both ways, links from starts and links to goals.
-
-    nodes: the roadmap's `count` nodes, STARTS starts, then goals.
+    Returns
+    -------
+    Costs (s, g) [rad], inf where there is no path, and the row before each row on the way from a start (s, rows),
+    negative where there is none.
     """
     leaving = links[:, 0] < count + STARTS
     pairs = np.concatenate([edges, edges[:, ::-1], links[leaving], links[~leaving][:, ::-1]])
@@ -254,25 +224,15 @@ def shortest_paths(nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, coun
     graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
     starts = np.arange(count, min(count + STARTS, len(nodes)))
     if len(starts) == 0:
-        return ShortestPaths(np.empty((0, 0)), np.empty((0, len(nodes))), count)
+        return np.empty((0, 0)), np.empty((0, len(nodes)))
     cost, before = dijkstra(graph, indices=starts, return_predecessors=True)
-    return ShortestPaths(cost[:, count + STARTS :], before, count + STARTS)
+    return cost[:, count + STARTS :], before
 
 
-def roadmap_arrays(scenes: Sequence[tuple[int, int, RoadmapLabels]]) -> dict[str, np.ndarray]:
-    """Arrays of a shard, from the family, the number and the labels of each scene."""
-    draws = [draw for _, _, draw in scenes]
-    codes = [path for draw in draws for path in draw.codes]
-    return scene_shapes([(family, number, draw.scene) for family, number, draw in scenes]) | {
-        "node_free": np.packbits([draw.node_free for draw in draws], axis=1),
-        "edge_free": np.packbits([draw.edge_free for draw in draws], axis=1),
-        "path_scene": np.repeat(np.arange(len(draws)), [len(draw.codes) for draw in draws]).astype(np.int32),
-        "ends": np.concatenate([packed(draw.robot, draw.ends) for draw in draws]),
-        "code_start": np.cumsum([0, *(len(path) for path in codes)], dtype=np.int32),
-        "codes": np.concatenate([np.empty(0, np.int64), *codes]).astype(np.uint16),
-        "straight": np.concatenate(
-            [np.linalg.norm(draw.ends[:, 1] - draw.ends[:, 0], axis=1) for draw in draws]
-        ).astype(np.float32),
-        "cost": np.concatenate([draw.cost for draw in draws]).astype(np.float32),
-        "differs": np.concatenate([draw.differs for draw in draws]),
-    }
+def _codes(before: np.ndarray, goal: int) -> list[int]:
+    """Codes on the way to row `goal`, none where there is no path."""
+    rows, row = [], int(before[goal])
+    while row >= 0:
+        rows.append(row)
+        row = int(before[row])
+    return rows[-2::-1]  # the last one is the start itself
