@@ -1,9 +1,10 @@
-"""What depth cameras saw, on the command line: files, cameras, filters; and the lines that say what came of them."""
+"""The options of a scan: cameras, filters, obstacles; the scan that they ask for, and its report."""
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,87 +18,44 @@ from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, scan
 
-PLANES = ("keep", "box", "remove")
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
+FRAME = (
+    "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + quaternion or rpy, ROS's "
+    "translation + rotation; without, points are in the base frame"
+)
 
 
 def add_scan(parser: argparse.ArgumentParser) -> None:
-    """Cameras and filters."""
+    """Cameras, filters, obstacles."""
     defaults = ScanSettings()
-    cameras = parser.add_argument_group("cameras of the scan; options are repeated in the order of the files")
-    _each_file(
-        cameras, "--intrinsics", "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info"
-    )
-    _each_file(
-        cameras,
-        "--extrinsics",
-        "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + quaternion or rpy, ROS's "
-        "translation + rotation; without, points are in the base frame",
-    )
-    cameras.add_argument(
-        "--scale", type=positive, metavar="M", help="[m] of a unit (1; of a 16-bit image 0.001)"
-    )
-    cameras.add_argument(
-        "--level", choices=("table",), help="find the table, put it level: for a scan without --extrinsics"
-    )
-    cameras.add_argument(
-        "--front",
-        metavar="X,Y,Z",
-        help="where --level puts the middle of the table's near edge (0.3,0,0) [m]",
-    )
-    filters = parser.add_argument_group("filters of the scan")
-    filters.add_argument(
-        "--crop", metavar=",".join(CORNERS), help="keep what lies between two corners [m] (all)"
-    )
-    filters.add_argument(
-        "--voxel",
-        type=positive,
-        default=defaults.voxel,
-        metavar="M",
-        help=f"edge of voxels ({defaults.voxel})",
-    )
-    filters.add_argument(
-        "--robot-margin",
-        type=float,
-        default=defaults.robot_margin,
-        metavar="M",
-        help=f"points this near to the arm are the arm ({defaults.robot_margin})",
-    )
-    filters.add_argument("--arm-at", metavar="Q", help="configuration of the arm when the scan was taken")
-    filters.add_argument(
-        "--neighbours",
-        type=int,
-        default=defaults.neighbours,
-        metavar="N",
-        help=f"points with fewer within three voxels go ({defaults.neighbours})",
-    )
-    filters.add_argument(
-        "--plane", choices=PLANES, default="keep", help="the points of the supporting plane (keep)"
-    )
-    obstacles = parser.add_argument_group("obstacles made of the scan")
-    obstacles.add_argument(
-        "--map",
-        type=positive,
-        default=RESOLUTION,
-        metavar="M",
-        help=f"edge of the cells of a map ({RESOLUTION})",
-    )
-    obstacles.add_argument(
-        "--padding", type=float, default=0.0, metavar="M", help="cells are swelled by this (0)"
-    )
-    obstacles.add_argument(
-        "--unknown",
-        choices=("free", "occupied"),
-        default="free",
-        help="cells that no camera looked into (free)",
-    )
-    obstacles.add_argument(
-        "--radius", type=positive, metavar="M", help="balls around the points instead; 0.87 voxels cover all"
-    )
-
-
-def _each_file(group: argparse._ArgumentGroup, option: str, text: str) -> None:
-    group.add_argument(option, action="append", default=[], type=Path, metavar="F.json|yaml", help=text)
+    metres: dict[str, Any] = {"type": positive, "metavar": "M"}
+    file: dict[str, Any] = {"action": "append", "default": [], "type": Path, "metavar": "F.json|yaml"}
+    group = parser.add_argument_group("cameras of the scan; options are repeated in the order of the files")
+    add: Callable[..., argparse.Action] = group.add_argument
+    lens = "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info"
+    add("--intrinsics", **file, help=lens)
+    add("--extrinsics", **file, help=FRAME)
+    add("--scale", **metres, help="[m] of a unit (1; of a 16-bit image 0.001)")
+    level = "find the table, put it level: for a scan without --extrinsics"
+    add("--level", choices=("table",), help=level)
+    front = "where --level puts the middle of the table's near edge (0.3,0,0) [m]"
+    add("--front", metavar="X,Y,Z", help=front)
+    add = parser.add_argument_group("filters of the scan").add_argument
+    add("--crop", metavar=",".join(CORNERS), help="keep what lies between two corners [m] (all)")
+    add("--voxel", **metres, default=defaults.voxel, help=f"edge of voxels ({defaults.voxel})")
+    margin = f"points this near to the arm are the arm ({defaults.robot_margin})"
+    add("--robot-margin", type=float, default=defaults.robot_margin, metavar="M", help=margin)
+    add("--arm-at", metavar="Q", help="configuration of the arm when the scan was taken")
+    few = f"points with fewer within three voxels go ({defaults.neighbours})"
+    add("--neighbours", type=int, default=defaults.neighbours, metavar="N", help=few)
+    planes = ("keep", "box", "remove")
+    add("--plane", choices=planes, default="keep", help="the points of the supporting plane (keep)")
+    add = parser.add_argument_group("obstacles made of the scan").add_argument
+    add("--map", **metres, default=RESOLUTION, help=f"edge of the cells of a map ({RESOLUTION})")
+    add("--padding", type=float, default=0.0, metavar="M", help="inflation radius of the cells (0)")
+    unknown = "cells that no ray of a camera crossed (free)"
+    add("--unknown", choices=("free", "occupied"), default="free", help=unknown)
+    add("--radius", **metres, help="balls around the points instead; 0.87 voxels cover all")
 
 
 def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) -> Scan:
@@ -166,5 +124,5 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
     for step in made.steps:
         yield f"{step.name:11} {step.before} -> {step.after} points"
     if made.plane is not None:
-        kept = "now a box" if made.table is not None else "gone"
-        yield f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = {made.plane.offset:.3f} m: {kept}"
+        done = "now a box" if made.table is not None else "gone"
+        yield f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = {made.plane.offset:.3f} m: {done}"

@@ -13,9 +13,9 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 
-REST_GAP = 1e-3  # [m] pieces that come closer to the object somewhere on its way are part of its casing, ...
+REST_GAP = 1e-3  # [m] pieces that come closer to the object somewhere on its path are part of its casing, ...
 DEEPEST = 1e-4  # [m] ... unless it goes deeper into them: then they are obstacles that stop it
-CREEP = 1e-3  # [m] between looks at pieces closer than REST_GAP
+CREEP = 1e-3  # [m] of motion between checks of pieces closer than REST_GAP
 
 
 class TakenOut(NamedTuple):
@@ -30,9 +30,9 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
 
     A closed door stands between the boards of its cabinet with half a millimetre of play: less than
     planners keep from obstacles. Such boards become the object's casing, which is checked against the
-    robot only. A fixed obstacle belongs to the casing when somewhere on the object's whole way it is
+    robot only. A fixed obstacle belongs to the casing when somewhere on the object's whole path it is
     closer than `REST_GAP`, and nowhere entered deeper than `DEEPEST`. Anything else stays an obstacle
-    for the moving object too, e.g. a box in its way and its neighbour doors.
+    for the moving object too, e.g. a box in its path and its neighbour doors.
 
     may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
 
@@ -79,7 +79,7 @@ def _along_axis(joint: Articulation, movers: Sequence[SceneObject]) -> float:
 
 
 def _rests_against(joint: Articulation, movers: Sequence[SceneObject], item: SceneObject) -> bool:
-    """Whether an object comes close to a fixed one somewhere on its way, and enters it nowhere."""
+    """Whether an object comes close to a fixed one somewhere on its path, and enters it nowhere."""
     shape = coal_shape(item.shape)
     close = False
     for mover in movers:

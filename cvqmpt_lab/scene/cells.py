@@ -18,14 +18,14 @@ DENSE = 1 << 26
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cubes of a grid, each swelled by a padding."""
+    """Cubes of a grid, each inflated by a padding."""
 
     index: np.ndarray
     """(k, 3) int64, each only once, in order, the least of every column 0."""
     edge: float
     """Of each cube [m]."""
     padding: float
-    """By which the cubes are swelled [m]."""
+    """Inflation radius [m]."""
     T_parent_cells: np.ndarray
     """(4, 4), of the corner of cell 0, 0, 0 in the parent, the world or the hand [m]; axes along the grid."""
 

@@ -54,11 +54,9 @@ class FilledCells:
     def _correction(self, triangles: FloatArray, cells: float) -> float:
         """By how much a closed mesh's volume differs from that of its cells; 1 for open ones."""
         mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-        return (
-            float(np.clip(abs(mesh.volume) / (cells * self._cell**3), 0.5, 1.5))
-            if mesh.is_watertight
-            else 1.0
-        )
+        if not mesh.is_watertight:
+            return 1.0
+        return float(np.clip(abs(mesh.volume) / (cells * self._cell**3), 0.5, 1.5))
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
         """FilledCells volume [m^3] between two corners (3,), about."""
@@ -233,10 +231,7 @@ def spread_points(triangles: FloatArray, count: int) -> FloatArray:
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     k = np.arange(count)
     which = np.searchsorted(area, (k + 0.5) / count * area[-1]).clip(max=len(area) - 1)
-    u, v = (
-        (k * 0.7548776662466927) % 1.0,
-        (k * 0.5698402909980532) % 1.0,
-    )  # an evenly spread sequence in the square
+    u, v = (k * 0.7548776662466927) % 1.0, (k * 0.5698402909980532) % 1.0  # evenly spread in the square
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
     return a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
 
@@ -246,14 +241,11 @@ def _thickened(points: FloatArray) -> FloatArray:
     normal = thin_direction(points)
     turned = np.linalg.svd(normal[None])[2]  # rows: the normal, and two directions across it
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)
-    room = np.maximum(0.0, 2.0 * MIN_THICKNESS - (high - low)) / 2.0
-    if (room[1:] > 0.0).any():  # no more than a line: a box around it
-        low, high = low - room, high + room
-        box = np.array(
-            [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-        )
-        return box @ turned
-    return np.concatenate([points - room[0] * normal, points + room[0] * normal])
+    gap = np.maximum(0.0, 2.0 * MIN_THICKNESS - (high - low)) / 2.0
+    if (gap[1:] > 0.0).any():  # no more than a line: a box around it
+        low, high = low - gap, high + gap
+        return np.array(list(product(*zip(low, high, strict=True)))) @ turned
+    return np.concatenate([points - gap[0] * normal, points + gap[0] * normal])
 
 
 def _with_fewer_faces(vertices: FloatArray) -> FloatArray:

@@ -53,9 +53,9 @@ def kitchen(
         _wall_door("dagger_door_left", "dagger", 1, +1, p),
         _wall_door("dagger_door_right", "dagger", 0, -1, p),
         Assembly(_base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)),
-        *_hitman_drawers(p),
+        *_drawers("hitman", p),
         Assembly(_base_cabinet("indigo", p.right_y, (p.right_wall_y, p.right_y + p.base_width), p)),
-        *_indigo_drawers(p),
+        *_drawers("indigo", p),
         _base_door("indigo_door_right", p.right_y, -1, p),
         _base_door("indigo_door_left", p.right_y + p.cabinet_width, +1, p),
     ]
@@ -184,25 +184,16 @@ def _base_cabinet(name: str, right_y: float, counter_y: Span, p: KitchenParamete
     ]
 
 
-def _hitman_drawers(p: KitchenParameters) -> list[Assembly]:
-    """Return the two drawers, with trays, that fill the left base cabinet."""
-    parts, top_z = [], p.base_front_top_z
+def _drawers(cabinet: str, p: KitchenParameters) -> list[Assembly]:
+    """Return the two drawers of a cabinet: hitman's fill it and have trays, indigo's are low, above its doors."""
+    parts, top_z, hitman = [], p.base_front_top_z, cabinet == "hitman"
     for place in ("top", "bottom"):
-        z = (top_z - p.hitman_front_height, top_z)
-        drawer_z, handle_z = z[0] + p.hitman_drawer_lift, z[1] - p.hitman_handle_drop
-        parts.append(_drawer(f"hitman_drawer_{place}", p.left_y, z, drawer_z, handle_z, True, p))
-        top_z = z[0] - p.stacked_front_gap
-    return parts
-
-
-def _indigo_drawers(p: KitchenParameters) -> list[Assembly]:
-    """Return the two low drawers, without trays, above the doors of the right base cabinet."""
-    parts, top_z = [], p.base_front_top_z
-    for place in ("top", "bottom"):
-        z = (top_z - p.indigo_front_height, top_z)
+        z = (top_z - (p.hitman_front_height if hitman else p.indigo_front_height), top_z)
         middle_z = 0.5 * sum(z)
-        drawer_z = middle_z - 0.5 * p.drawer_height
-        parts.append(_drawer(f"indigo_drawer_{place}", p.right_y, z, drawer_z, middle_z, False, p))
+        drawer_z = z[0] + p.hitman_drawer_lift if hitman else middle_z - 0.5 * p.drawer_height
+        handle_z = z[1] - p.hitman_handle_drop if hitman else middle_z
+        name, y = f"{cabinet}_drawer_{place}", p.left_y if hitman else p.right_y
+        parts.append(_drawer(name, y, z, drawer_z, handle_z, hitman, p))
         top_z = z[0] - p.stacked_front_gap
     return parts
 

@@ -165,7 +165,7 @@ class KitchenParameters(Checked):
 
 
 def _fitting_rules(p: KitchenParameters) -> list[tuple[bool, str]]:
-    """Return (kept, what is broken if not) for every rule that a consistent kitchen keeps."""
+    """Return (whether it holds, what is broken if not) of every rule of a consistent kitchen."""
     boards, handle, half_range = 2.0 * p.board_thickness, p.handle_length, 0.5 * p.range_width
     counter_z = p.base_cabinet_bottom_z + p.base_cabinet_height + p.countertop_thickness
     wall_door_height = p.wall_cabinet_height - p.door_gap

@@ -17,14 +17,13 @@ KINDS: Mapping[str, str] = {".stl": "stl", ".obj": "obj", ".dae": "dae"}
 """What the parser calls a file, by its suffix."""
 MOST_TRIANGLES = 200_000
 ROOM = 20.0  # [m] within which at least half of a mesh must lie
-ROOM = 20.0  # [m] within which at least half of a mesh must lie
 
 
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     """Read a mesh as vertices (k, 3) [m] of convex pieces; see `convex_pieces`.
 
     scale: [m] of one unit of the file. A DAE file states its unit, which is applied before; which
-        axis it calls up is not looked at, as for meshes of robots.
+        axis it calls up is ignored, as for meshes of robots.
 
     Raises
     ------

@@ -108,7 +108,7 @@ class DepthPicture:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Where a camera stands, and why that should be believed."""
+    """Where a camera stands, and the evidence for it."""
 
     T_world_camera: FloatArray  # (4, 4) [m]
     residual: float  # root mean square distance of the points on the arm from its surface [m]

@@ -23,7 +23,7 @@ class BoxCrop:
     upper: tuple[float, float, float] = (0.88, 0.88, 1.2)
 
     def contains(self, points: FloatArray) -> np.ndarray:
-        """Whether each of the points (m, 3) is kept."""
+        """Whether each of the points (m, 3) stays."""
         spans = zip(points.T, self.lower, self.upper, strict=True)  # by axis: three times as fast
         return np.logical_and.reduce([(axis >= lower) & (axis <= upper) for axis, lower, upper in spans])
 
@@ -36,7 +36,7 @@ class BallCrop:
     radius: float = 1.2
 
     def contains(self, points: FloatArray) -> np.ndarray:
-        """Whether each of the points (m, 3) is kept."""
+        """Whether each of the points (m, 3) stays."""
         return np.square(points - self.centre).sum(axis=1) <= self.radius**2
 
 

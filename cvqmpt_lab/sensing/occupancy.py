@@ -14,7 +14,7 @@ from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 
-MOST_CELLS = 1 << 27  # of the box in which unknown cells are looked for; one byte each
+MOST_CELLS = 1 << 27  # of the box in which unknown cells are searched; one byte each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,9 @@ def occupancy_map(
 def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None) -> FloatArray:
     """Middles (k, 3) [m] of cells in the box that no ray crossed."""
     if not captures:
-        raise InvalidInputError("unknown space is occupied, but nobody said from where the points were seen")
+        raise InvalidInputError(
+            "unknown space is occupied, but the captures with their cameras' poses are missing"
+        )
     first: FloatArray = np.floor(np.divide(settings.lower, settings.resolution))
     across = (np.ceil(np.divide(settings.upper, settings.resolution)) - first).astype(np.int64)
     if across.prod() > MOST_CELLS:
@@ -87,22 +89,22 @@ def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterat
 
     All segments go from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal algorithm", 1987).
     """
-    way = ends - origin
-    way[way == 0.0] = 1e-12
-    sides = np.stack([-origin / way, (across - origin) / way])
+    ray = ends - origin
+    ray[ray == 0.0] = 1e-12
+    sides = np.stack([-origin / ray, (across - origin) / ray])
     enter = np.maximum(sides.min(axis=0).max(axis=1), 0.0)
     leave = np.minimum(sides.max(axis=0).min(axis=1), 1.0)
     through = enter < leave
-    way, enter, leave = way[through], enter[through], leave[through]
-    cell = np.clip(np.floor(origin + enter[:, None] * way).astype(np.int64), 0, across - 1)
-    step = np.where(way > 0.0, 1, -1)
-    border = (cell + (step > 0) - origin) / way  # share of the way at which the next cell begins
+    ray, enter, leave = ray[through], enter[through], leave[through]
+    cell = np.clip(np.floor(origin + enter[:, None] * ray).astype(np.int64), 0, across - 1)
+    step = np.where(ray > 0.0, 1, -1)
+    border = (cell + (step > 0) - origin) / ray  # share of the ray at which the next cell begins
     while len(cell):
         yield cell
         rows, axis = np.arange(len(cell)), border.argmin(axis=1)
         going = border[rows, axis] < leave
         rows, axis = rows[going], axis[going]
         cell[rows, axis] += step[rows, axis]
-        border[rows, axis] += 1.0 / np.abs(way[rows, axis])
+        border[rows, axis] += 1.0 / np.abs(ray[rows, axis])
         going[rows] = ((cell[rows] >= 0) & (cell[rows] < across)).all(axis=1)
-        cell, border, step, way, leave = (part[going] for part in (cell, border, step, way, leave))
+        cell, border, step, ray, leave = (part[going] for part in (cell, border, step, ray, leave))

@@ -1,4 +1,4 @@
-"""The plane that things stand on, and how a scan is put level by it when nobody knows where the camera was."""
+"""The plane that things stand on, and how a scan is put level by it when the camera's pose is unknown."""
 
 from typing import NamedTuple
 
@@ -21,12 +21,8 @@ LEAST = 0.1  # share of the points that a supporting plane must hold
 FEWEST = 30  # points that a supporting plane must hold
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
 CAMERA_AHEAD = np.array([0.0, 0.0, 1.0])
-STRAIGHT = np.cos(
-    np.radians(11.0)
-)  # table's normal nearer to the camera's axis: "ahead" is the image's upper side
-CAMERA_TILT = np.radians(
-    100.0
-)  # from a table's normal to the camera's up: it may look straight down, or beyond
+STRAIGHT = np.cos(np.radians(11.0))  # nearer to the camera's axis, "ahead" is the image's upper side
+CAMERA_TILT = np.radians(100.0)  # from a table's normal to the camera's up: it may look straight down
 WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
 EDGE = 0.02  # quantile of the table's points that counts as its edge: beyond it lies what the camera half saw
 

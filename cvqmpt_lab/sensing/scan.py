@@ -43,10 +43,10 @@ class ScanSettings:
     """How a scan is cleaned."""
 
     level: bool = False
-    """Put the table level, because nobody knows where the camera was; needs a single capture."""
+    """Put the table level, because the camera's pose is unknown; needs a single capture."""
     front: tuple[float, float, float] = (0.3, 0.0, 0.0)
     """Where `level` puts the middle of the table's near edge [m]."""
-    crop: BoxCrop | BallCrop | None = None  # what is kept [m, robot base frame]; None for all
+    crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
     robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
     neighbours: int = 2  # points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all
@@ -87,7 +87,7 @@ class Scan:
     captures: tuple[Capture, ...] = ()  # what it was made of, at the poses that were used
     levelled: Levelled | None = None  # none unless asked for
     plane: SupportingPlane | None = None
-    """The supporting plane, where one was looked for, in the robot's base frame."""
+    """The supporting plane, where one was searched for, in the robot's base frame."""
     table: SceneObject | None = None  # the box that stands for it
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:

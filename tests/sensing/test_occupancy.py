@@ -82,7 +82,7 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     ("settings", "message"),
     [
         (MapSettings(), "no point is left"),
-        (ROOM, "nobody said from where"),
+        (ROOM, "captures with their cameras"),
         (MapSettings(unknown="occupied", resolution=1e-3, upper=(50.0, 50.0, 50.0)), "smaller box or larger"),
     ],
 )
