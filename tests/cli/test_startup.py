@@ -61,7 +61,7 @@ def test_the_package_alone_imports_next_to_nothing():
 
 
 def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
-    words = ["reproduce", "place-task", "--problems", "1", "--seeds", "1", "--cutoff", "10", "--jobs", "1"]
+    words = ["reproduce", "place-task", "--problems", "1", "--seeds", "1", "--cutoff", "1", "--jobs", "1"]
     words += ["--planners", "all", "--out", str(tmp_path / "run")]
     code = f"from cli.main import main; raise SystemExit(main({words!r}))"
     done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True)
