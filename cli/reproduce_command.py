@@ -1,20 +1,28 @@
-"""`cvqmpt reproduce`: run a suite and write its rows and tables."""
+"""`cvqmpt reproduce`: run a suite, or all of them, and write rows, tables, and of all verdicts and the report."""
 
 import argparse
 import sys
 from pathlib import Path
 
+from cli.claims_command import PAGE_NAME, pages_of, verdict_lines
 from cli.options import ProgressBar, add_model, positive_int
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
-from cli.reproduce_all import reproduce_all
+from cli.report_command import write_report
 from cli.table_command import show_tables
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import write_text
 from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.everything import PROFILES
+from experiments.everything import PROFILES, amounts
+from experiments.figures.run_figure import FigureRequest, reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
 from experiments.suites.suite import SUITES, suite_named
+from paper_tables.suite_tables import render_directory
 
 ALL = "all"
+HISTOGRAM = ("histogram", 7)  # the figure that is part of all, and the problem that it is of
+FIXED = ("problems", "seeds", "planners", "model", "cutoff", "iterations", "optimize")  # in all
 EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
@@ -53,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what is missing in --out, then render its tables."""
     if args.suite == ALL:
-        return reproduce_all(args)
+        return _reproduce_all(args)
     suite = suite_named(args.suite)
     experiment = Experiment(
         suite=suite.name,
@@ -71,4 +79,33 @@ def run(args: argparse.Namespace) -> int:
     with executor_for(experiment, args.jobs or default_jobs(), args.dask) as executor:
         run_experiment(experiment, out, executor, command, ProgressBar(suite.name))
     show_tables(out)
+    return 0
+
+
+def _reproduce_all(args: argparse.Namespace) -> int:
+    """Run what is missing, render everything and print the verdicts."""
+    given = [f"--{name}" for name in FIXED if getattr(args, name) is not None]
+    if given:
+        raise InvalidInputError(
+            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile hour or small runs "
+            "less, or name one suite"
+        )
+    chosen, out, jobs = amounts(args.profile), args.out or Path("runs/all"), args.jobs or default_jobs()
+    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    for amount in chosen:
+        folder = out / amount.folder
+        command = [*amount.command, "--jobs", str(jobs), "--out", str(folder)]
+        with executor_for(amount.experiment, jobs) as executor:
+            run_experiment(amount.experiment, folder, executor, command, ProgressBar(amount.folder))
+        render_directory(folder)
+    figure, problem = HISTOGRAM
+    folder = out / figure
+    if not (folder / PROVENANCE_FILE).is_file():
+        command = ["cvqmpt", "figure", figure, "--problem", str(problem), "--out", str(folder)]
+        reproduce_figure(FigureRequest(figure=figure, out=folder, problem=problem), command)
+    for path, text in pages_of(out).items():
+        write_text(path, text)
+    print("\n".join(verdict_lines(out)))
+    print(f"every claim, its numbers and commands: {out / PAGE_NAME}")
+    print(f"report, for a browser: {write_report(out)}")
     return 0

@@ -7,16 +7,14 @@ from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
 from cvqmpt_lab.planning.result import Budget
 from experiments.run import Experiment
-from experiments.suites.suite import SUITES
+from experiments.suites.suite import SUITES, Suite
 
 CONTROLS_FOLDER = "controls"
 CONTROLLED = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", *CONTROLS)
-SLOW = ("atlas-rrt", "tb-rrt")
-"""Planners that spend most of their time in runs that time out."""
+SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
 QUICK = tuple(name for name in PLANNERS if name not in SLOW)
-HEADED = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
-ISOLATED = ("straight-line", "cvq-wrong-cloud")
-"""Controls that say what helps in scenes of other families."""
+SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
+ISOLATED = ("straight-line", "cvq-wrong-cloud")  # controls that say what helps in scenes of other families
 FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet")) + ISOLATED
 ON_OTHER_ROBOTS = ("birrt", "ompl-projected")
 
@@ -25,20 +23,34 @@ ON_OTHER_ROBOTS = ("birrt", "ompl-projected")
 class Amount:
     """How much of a suite is run; several amounts of one folder add up."""
 
-    folder: str
-    """Of its results: the suite's name, or `CONTROLS_FOLDER`."""
-    problems: int | None = None
-    """The first ones; all when None."""
+    folder: str  # of its results: the suite's name, or `CONTROLS_FOLDER`
+    problems: int | None = None  # the first ones; all when None
     seeds: int = 1
-    cutoff: float = 10.0
-    """[s]."""
-    planners: tuple[str, ...] | None = None
-    """Those of the suite when None."""
+    cutoff: float = 10.0  # [s]
+    planners: tuple[str, ...] | None = None  # those of the suite when None
 
     @property
-    def suite(self) -> str:
+    def suite(self) -> Suite:
         """What is run."""
-        return "place-task" if self.folder == CONTROLS_FOLDER else self.folder
+        return SUITES["place-task" if self.folder == CONTROLS_FOLDER else self.folder]
+
+    @property
+    def experiment(self) -> Experiment:
+        """Its runs."""
+        return Experiment(
+            suite=self.suite.name,
+            problems=tuple(self.suite.problems[: self.problems]),
+            planners=self.planners or tuple(self.suite.planners),
+            seeds=tuple(range(self.seeds)),
+            budget=Budget(seconds=self.cutoff),
+        )
+
+    @property
+    def command(self) -> list[str]:
+        """The command line that runs it alone, without --out and --jobs."""
+        words = f"cvqmpt reproduce {self.suite.name} --seeds {self.seeds} --cutoff {self.cutoff:g}".split()
+        words += [] if self.problems is None else ["--problems", str(self.problems)]
+        return words + ([] if self.planners is None else ["--planners", ",".join(self.planners)])
 
 
 CONTROLS_OF = Amount(CONTROLS_FOLDER, 60, cutoff=5.0, planners=CONTROLLED)
@@ -74,10 +86,10 @@ HOUR = (
 )
 SMALL = (
     Amount("place-task", 10, cutoff=2.0),
-    Amount("multi-sequence", 2, cutoff=2.0, planners=HEADED),
+    Amount("multi-sequence", 2, cutoff=2.0, planners=SOME),
     Amount("sensor", 2, cutoff=2.0),
-    Amount("place-task-with-can", 5, cutoff=2.0, planners=HEADED),
-    Amount("family-shelves", 3, cutoff=2.0, planners=HEADED),
+    Amount("place-task-with-can", 5, cutoff=2.0, planners=SOME),
+    Amount("family-shelves", 3, cutoff=2.0, planners=SOME),
     Amount("robots-ur5", 3, cutoff=2.0, planners=ON_OTHER_ROBOTS),
     Amount("constraints", 8, cutoff=2.0),
     Amount(CONTROLS_FOLDER, 3, cutoff=2.0, planners=CONTROLLED),
@@ -86,41 +98,8 @@ PROFILES: Mapping[str, tuple[Amount, ...]] = {"full": FULL, "hour": HOUR, "small
 """What a night, about an hour and ten minutes on two cores are enough for; an hour's is what is committed."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """The experiment of one amount, and the command line that runs it alone."""
-
-    folder: str
-    experiment: Experiment
-    command: tuple[str, ...]
-    """Without --out and --jobs."""
-
-
-def parts(profile: str) -> tuple[Part, ...]:
+def amounts(profile: str) -> tuple[Amount, ...]:
     """What is run, in order; UnknownChoiceError lists the profiles."""
     if profile not in PROFILES:
         raise UnknownChoiceError("profile", profile, PROFILES)
-    return tuple(map(_part, PROFILES[profile]))
-
-
-def _part(amount: Amount) -> Part:
-    suite = SUITES[amount.suite]
-    words = [
-        "cvqmpt",
-        "reproduce",
-        suite.name,
-        "--seeds",
-        str(amount.seeds),
-        "--cutoff",
-        f"{amount.cutoff:g}",
-    ]
-    words += [] if amount.problems is None else ["--problems", str(amount.problems)]
-    words += [] if amount.planners is None else ["--planners", ",".join(amount.planners)]
-    experiment = Experiment(
-        suite=suite.name,
-        problems=tuple(suite.problems[: amount.problems]),
-        planners=amount.planners or tuple(suite.planners),
-        seeds=tuple(range(amount.seeds)),
-        budget=Budget(seconds=amount.cutoff),
-    )
-    return Part(amount.folder, experiment, tuple(words))
+    return PROFILES[profile]

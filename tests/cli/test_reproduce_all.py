@@ -11,25 +11,25 @@ from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from experiments import everything
-from experiments.everything import PROFILES, Amount, parts
+from experiments.everything import PROFILES, Amount, amounts
 from experiments.suites.suite import SUITES
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():
-    full = {part.folder: part.experiment for part in parts("full")}
+    full = {part.folder: part.experiment for part in amounts("full")}
     assert full.keys() == {*SUITES, "controls"}
     for name in ("place-task", "multi-sequence"):
         assert len(full[name].seeds) == 5 and set(full[name].planners) == set(PLANNERS)
         assert full[name].problems == tuple(SUITES[name].problems)
     assert {"cvq-no-uniform", "birrt"} <= set(full["controls"].planners)
     with pytest.raises(UnknownChoiceError, match="tiny"):
-        parts("tiny")
+        amounts("tiny")
 
 
 @pytest.mark.parametrize("profile", sorted(set(PROFILES) - {"full"}))
 def test_smaller_profiles_run_less_of_the_same(profile):
-    full = {part.folder: set(part.experiment.runs) for part in parts("full")}
-    for part in parts(profile):
+    full = {part.folder: set(part.experiment.runs) for part in amounts("full")}
+    for part in amounts(profile):
         mine = {replace(run, budget=None) for run in part.experiment.runs}
         assert mine and mine <= {replace(run, budget=None) for run in full[part.folder]}, part.folder
 
@@ -37,7 +37,7 @@ def test_smaller_profiles_run_less_of_the_same(profile):
 @pytest.mark.parametrize("profile", PROFILES)
 def test_amounts_of_one_folder_continue_each_other(profile):
     settings = {}
-    for part in parts(profile):
+    for part in amounts(profile):
         settings.setdefault(part.folder, []).append(part.experiment.settings())
     assert all(found == found[:1] * len(found) for found in settings.values())
 
