@@ -2,18 +2,16 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from cli.options import add_model, positive_int
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures.code_update import UpdateSettings
 from experiments.figures.run_figure import (
     FIGURES,
     NAME,
     ROW_FIGURES,
-    FigureRequest,
     compare_at_equal_time,
     reproduce_figure,
     summary,
@@ -59,28 +57,21 @@ def run(args: argparse.Namespace) -> int:
             "figure learning-curve was removed with the sequence network that it measured; its numbers are in "
             "docs/training_log.md"
         )
+    known, command = (*FIGURES, NAME, *ROW_FIGURES), ["cvqmpt", *sys.argv[1:]]
+    if args.figure not in known:
+        raise UnknownChoiceError("figure", args.figure, known)
     if args.figure in ROW_FIGURES:
         if args.out is None:
             raise InvalidInputError(f"figure {args.figure} is drawn from rows: name their folder with --out")
-        return _tell(ROW_FIGURES[args.figure](args.out))
-    if args.figure == NAME:
+        written = ROW_FIGURES[args.figure](args.out)
+    else:
+        out, settings = args.out or Path("runs") / args.figure, UpdateSettings(seed=args.seed)
         compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-        out = args.out or Path("runs") / NAME
-        return _tell(compare_at_equal_time(out, args.problems, ["cvqmpt", *sys.argv[1:]]))
-    request = FigureRequest(
-        figure=args.figure,
-        out=args.out or Path("runs") / args.figure,
-        problem=args.problem,
-        model=args.model,
-        settings=UpdateSettings(seed=args.seed),
-    )
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-    update, written = reproduce_figure(request, ["cvqmpt", *sys.argv[1:]])
-    print("\n".join(summary(update)))
-    return _tell(written)
-
-
-def _tell(written: Sequence[Path]) -> int:
+        if args.figure == NAME:
+            written = compare_at_equal_time(out, args.problems, command)
+        else:
+            update, written = reproduce_figure(args.figure, out, command, args.problem, args.model, settings)
+            print("\n".join(summary(update)))
     for path in written:
         print(f"written {path}")
     return 0

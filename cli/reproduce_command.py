@@ -15,7 +15,7 @@ from cvqmpt_lab.methods.table import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import PROFILES, amounts
-from experiments.figures.run_figure import FigureRequest, reproduce_figure
+from experiments.figures.run_figure import reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
 from experiments.suites.suite import SUITES, suite_named
 from paper_tables.suite_tables import render_directory
@@ -102,7 +102,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     folder = out / figure
     if not (folder / PROVENANCE_FILE).is_file():
         command = ["cvqmpt", "figure", figure, "--problem", str(problem), "--out", str(folder)]
-        reproduce_figure(FigureRequest(figure=figure, out=folder, problem=problem), command)
+        reproduce_figure(figure, folder, command, problem)
     for path, text in pages_of(out).items():
         write_text(path, text)
     print("\n".join(verdict_lines(out)))

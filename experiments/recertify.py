@@ -1,9 +1,9 @@
 """Every path of a finished run, judged again from its rows and from what was kept beside them."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,19 +18,15 @@ from cvqmpt_lab.tasks.task import Task
 from experiments.suites.sensor_task import SensedProblem
 from experiments.suites.suite import suite_named
 
-LENGTH_TOLERANCE = 1e-9
-"""[rad] between the length in a row and that of its path."""
+LENGTH_TOLERANCE = 1e-9  # [rad] between the length in a row and that of its path
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What a row says of its path, and what the path says."""
 
     row: ResultRow
-    certificate: Certificate | None
-    """None where there is no path to judge."""
-    trouble: str = ""
-    """Why the row cannot be trusted, or ""."""
+    certificate: Certificate | None  # None where there is no path to judge
+    trouble: str = ""  # why the row cannot be trusted
 
 
 def recertify(directory: Path) -> Iterator[Verdict]:
@@ -82,15 +78,11 @@ def _verdict(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> Ve
         certificate = certify(problem, JointPath(states), clearance=False)
     except InvalidInputError as error:
         return Verdict(row, None, str(error))
-    length = JointPath(states).length
+    length, trouble = JointPath(states).length, ""
     if row.path_length_rad is None or abs(length - row.path_length_rad) > LENGTH_TOLERANCE:
-        return Verdict(
-            row, certificate, f"its path is {length:.6f} rad long, the row says {row.path_length_rad}"
-        )
-    if row.certified and not certificate.valid:
-        return Verdict(
-            row, certificate, f"certified in the row, refused now: {'; '.join(certificate.reasons)}"
-        )
-    if not row.certified and certificate.valid:
-        return Verdict(row, certificate, "refused in the row, certified now")
-    return Verdict(row, certificate)
+        trouble = f"its path is {length:.6f} rad long, the row says {row.path_length_rad}"
+    elif row.certified and not certificate.valid:
+        trouble = f"certified in the row, refused now: {'; '.join(certificate.reasons)}"
+    elif not row.certified and certificate.valid:
+        trouble = "refused in the row, certified now"
+    return Verdict(row, certificate, trouble)

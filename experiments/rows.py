@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +19,7 @@ from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor_task import SensedProblem
-from experiments.suites.suite import suite_named
-
-Item = PlanningProblem | UnsolvableProblem | SensedProblem | Task
-"""What a suite is made of."""
+from experiments.suites.suite import SuiteItem, suite_named
 
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
 """Columns of a phase that count all of its attempts."""
@@ -38,10 +35,8 @@ class Run:
     seed: int
     budget: Budget
     backend: str = "compiled"
-    model: str | None = None
-    """Weights, of planners that use any; see `Weights.model`."""
-    optimize: Budget | None = None
-    """What is spent on a better path once there is one; see `pipeline.solve`."""
+    model: str | None = None  # weights, of planners that use any; see `Weights.model`
+    optimize: Budget | None = None  # spent on a better path once there is one; see `pipeline.solve`
 
     @property
     def method(self) -> Method:
@@ -60,17 +55,14 @@ class Run:
         return ResultRow(**key, solved=reason is None, fail_reason=reason, detail=one_line(detail), **values)
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(NamedTuple):
     """What is kept of a run."""
 
-    rows: list[ResultRow]
-    """One, or one a planned phase."""
-    paths: list[np.ndarray] = field(default_factory=list)
-    """States (m, n) of the paths whose hashes stand in the rows [rad or m]."""
+    rows: list[ResultRow]  # one, or one a planned phase
+    paths: Sequence[np.ndarray] = ()  # states (m, n) of the paths whose hashes stand in the rows [rad or m]
 
 
-def outcome_of(run: Run, item: Item, goal_seconds: float) -> Outcome:
+def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
     """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner."""
     if isinstance(item, UnsolvableProblem):
         return Outcome(failed_rows(run, item, item.kind, item.reason))
@@ -113,7 +105,7 @@ def _sensed(run: Run, item: SensedProblem) -> Outcome:
     return Outcome([row], _states([solution]))
 
 
-def failed_rows(run: Run, item: Item, reason: FailReason, detail: str) -> list[ResultRow]:
+def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
     """Rows of an item that was not solved at all; later phases of a task were not reached."""
     names = _phase_problems(item) if isinstance(item, Task) else [item.name]
     return [

@@ -22,8 +22,8 @@ from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
-from experiments.rows import Item, Outcome, Run, failed_rows, outcome_of
-from experiments.suites.suite import suite_named
+from experiments.rows import Outcome, Run, failed_rows, outcome_of
+from experiments.suites.suite import SuiteItem, suite_named
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 """What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""
@@ -198,7 +198,7 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 
 
 @lru_cache(maxsize=4)
-def _item(suite: str, index: int) -> tuple[Item, float]:
+def _item(suite: str, index: int) -> tuple[SuiteItem, float]:
     """An item, a problem with its goals sampled once for all planners, and the seconds [s] that took."""
     item = suite_named(suite).item(index)
     return with_sampled_goals(item) if isinstance(item, PlanningProblem) else (item, 0.0)

@@ -22,8 +22,7 @@ WITHIN = 1.1  # of the best length known
 TIMES = tuple(float(t) for t in np.geomspace(2e-3, SECONDS, 25))
 NAME = "equal-time"
 
-Trace = Sequence[tuple[float, float]]
-"""Time [s] of a path and its length [rad], ever shorter."""
+Trace = Sequence[tuple[float, float]]  # time [s] of a path and its length [rad], ever shorter
 
 
 def restarted(problem: PlanningProblem, planner: str, seconds: float) -> Trace:

@@ -1,13 +1,13 @@
 """The paper's figures as runs: a folder of pictures, their numbers and where they come from."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import RunStoreError, UnknownChoiceError
+from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
@@ -32,23 +32,17 @@ SUITE = "place-task"
 MODEL = "vq_mpt"
 
 
-@dataclass(frozen=True)
-class FigureRequest:
-    """What to draw: a figure of `FIGURES`, of one problem, by a model's name or folder (None: the shipped one)."""
+def reproduce_figure(
+    figure: str,
+    out: Path,
+    command: Sequence[str],
+    problem: int = 0,
+    model: str | None = None,
+    settings: UpdateSettings | None = None,
+) -> tuple[CodeUpdate, list[Path]]:
+    """Predict, update, and write a figure of `FIGURES`, tables and provenance into a folder.
 
-    figure: str
-    out: Path
-    problem: int = 0
-    model: str | None = None
-    settings: UpdateSettings = field(default_factory=UpdateSettings)
-
-    def __post_init__(self) -> None:
-        if self.figure not in FIGURES:
-            raise UnknownChoiceError("figure", self.figure, [*FIGURES, NAME, *ROW_FIGURES])
-
-
-def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[CodeUpdate, list[Path]]:
-    """Predict, update, and write figure, tables and provenance into the request's folder.
+    model: its name or folder (None: the shipped one).
 
     Raises
     ------
@@ -57,20 +51,20 @@ def reproduce_figure(request: FigureRequest, command: Sequence[str]) -> tuple[Co
     RunStoreError
         When the folder cannot be written to or holds other results.
     """
-    problem = suite_named(SUITE).solvable(request.problem)
-    assert isinstance(problem, PlanningProblem)
-    model = resolve_model(request.model or MODEL, SHIPPED[MODEL])
+    posed = suite_named(SUITE).solvable(problem)
+    assert isinstance(posed, PlanningProblem)
+    settings, folder = settings or UpdateSettings(), resolve_model(model or MODEL, SHIPPED[MODEL])
     configuration: dict[str, Any] = {
-        "figure": request.figure,
+        "figure": figure,
         "suite": SUITE,
-        "problem": request.problem,
-        "update": asdict(request.settings),
+        "problem": problem,
+        "update": asdict(settings),
     }
-    session = provenance(command, [request.settings.seed], {MODEL: weights_digest(model)})
-    record = _record(request.out, configuration, session)
-    update = update_codes(problem, str(model), request.settings)
+    session = provenance(command, [settings.seed], {MODEL: weights_digest(folder)})
+    record = _record(out, configuration, session)
+    update = update_codes(posed, str(folder), settings)
     record.create(configuration, session)
-    return update, [*FIGURES[request.figure](update, request.out), record.path]
+    return update, [*FIGURES[figure](update, out), record.path]
 
 
 def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> list[Path]:
