@@ -36,6 +36,7 @@ MESHES = {
     "cylinder": (trimesh.creation.cylinder(0.1, 0.3), 1, 1.001),
     "table": (table(), 20, 1.5),
     "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
+    "open sheet": (wave(), MOST_PIECES, np.inf),
     "torus": (trimesh.creation.torus(0.3, 0.05, major_sections=24, minor_sections=12), MOST_PIECES, 1.3),
 }
 
@@ -43,10 +44,10 @@ MESHES = {
 @pytest.mark.parametrize("name", MESHES)
 def test_pieces_hold_the_surface_and_little_more(name):
     mesh, most, ratio = MESHES[name]
-    hulls = [ConvexHull(piece) for piece in convex_pieces(np.array(mesh.triangles))]
+    hulls = [ConvexHull(ConvexMesh(piece).vertices) for piece in convex_pieces(np.array(mesh.triangles))]
     assert farthest_outside(mesh, hulls) < 1e-7
     assert len(hulls) <= most
-    assert sum(hull.volume for hull in hulls) < ratio * mesh.volume
+    assert sum(hull.volume for hull in hulls) < ratio * abs(mesh.volume)
 
 
 def farthest_outside(mesh, hulls):
@@ -54,14 +55,6 @@ def farthest_outside(mesh, hulls):
     points = np.concatenate([mesh.vertices, spread_points(np.array(mesh.triangles), 4000)])
     depths = [(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls]
     return np.min(depths, axis=0).max()
-
-
-def test_an_open_sheet_is_held_too():
-    mesh = wave()
-    pieces = convex_pieces(np.array(mesh.triangles))
-    assert farthest_outside(mesh, [ConvexHull(piece) for piece in pieces]) < 1e-7
-    for piece in pieces:
-        ConvexMesh(piece)  # none is too thin
 
 
 def test_round_hulls_get_few_vertices_and_hold_the_ball():
@@ -129,9 +122,6 @@ def test_names_in_another_encoding_do_not_matter(tmp_path):
     data = box((0.1, 0.2, 0.3)).export(file_type="obj").encode()
     (tmp_path / "a.obj").write_bytes("# Größe in Metern\n".encode("latin-1") + data)
     assert len(read_mesh(tmp_path / "a.obj")) == 1
-
-
-def test_another_kind_of_mesh_is_refused(tmp_path):
     with pytest.raises(UnknownChoiceError, match=r"'\.fbx'; valid choices: \.stl, \.obj, \.dae"):
         read_mesh(tmp_path / "a.fbx")
 
