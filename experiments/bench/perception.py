@@ -88,7 +88,7 @@ def bench_sight(scenes: int) -> Iterator[Measurement]:
     robot = panda()
     model = load_vq_mpt(robot)
     if "sight" not in model.parts:
-        raise InvalidInputError("the model has no eyes; train some with cvqmpt train sight")
+        raise InvalidInputError("the model has no edge validity network; train one with cvqmpt train sight")
     eyes = Eyes(SmallNetwork.of(model.parts["sight"]), robot)
     graph = roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt"), robot))
     other = camera_cloud(family_scene(*WRONG_SCENE), AROUND, np.random.default_rng(0))
@@ -107,8 +107,8 @@ def bench_sight(scenes: int) -> Iterator[Measurement]:
         for name, examples in seen.items():
             yield from _quality(f"{family}, {name}", examples)
     motions = np.ascontiguousarray(np.stack([graph.nodes[end] for end in graph.edges.T], 1))
-    yield Measurement("a motion judged", "us", lambda: eyes.judge(other, motions), len(motions))
-    yield Measurement("a cloud looked at", "ms", lambda: eyes.look(other, anew=True))
+    yield Measurement("P(free) of a motion", "us", lambda: eyes.judge(other, motions), len(motions))
+    yield Measurement("distance field of a cloud", "ms", lambda: eyes.look(other, anew=True))
 
 
 def _quality(name: str, scenes: list[Examples]) -> Iterator[Measurement]:

@@ -35,7 +35,7 @@ from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 ENOUGH = Budget(iterations=20_000)
 SIZES = (1_000, 10_000, 100_000)  # nodes of the larger tree
 SAMPLES = 16  # handed to a growing tree at once
-LOOKS = 5  # at a cloud, each followed by prediction and update
+REPEATS = 5  # of each problem
 LONG_RUN = 2.0  # [s] in which the best path is looked for
 FIRST_RANDOM_SCENE = 700_000  # seeds of scenes that nothing else uses
 
@@ -76,7 +76,7 @@ def bench_stages(problems: int) -> Iterator[Measurement]:
             states.append(certificate.states_checked)
             lengths.append(shorter.path.length)
     yield from clock.measurements()
-    yield Measurement("place task: configurations looked at by the certificate", "", states)
+    yield Measurement("place task: configurations checked by the certificate", "", states)
     yield Measurement("place task: length", "rad", lengths)
 
 
@@ -108,7 +108,7 @@ def bench_growth() -> Iterator[Measurement]:
 
 
 def bench_networks(problems: int) -> Iterator[Measurement]:
-    """A cloud looked at as if new, sequences to all goals predicted in a known scene, their codes updated."""
+    """Edge costs of a new cloud, prediction of sequences to all goals in a known one, update of their codes."""
     method, rng, clock = planner_named("opt-algorithm-2"), np.random.default_rng(0), CpuTimes()
     for problem in _posed(problems):
         stages, space = method.stages(problem), ConstrainedSpace(problem)
@@ -116,12 +116,12 @@ def bench_networks(problems: int) -> Iterator[Measurement]:
         cloud = stages.observe(problem)
         seen = seen_dictionary(method.weights, problem.robot, problem.attachments)
 
-        def look(seen=seen, cloud=cloud) -> None:
+        def observe(seen=seen, cloud=cloud) -> None:
             seen.eyes.look(cloud, anew=True)
             seen.prices(cloud, anew=True)
 
-        for _ in range(LOOKS):
-            clock(f"a new cloud of {len(cloud)} points seen", look)
+        for _ in range(REPEATS):
+            clock(f"distance field and edge costs, {len(cloud)} points", observe)
             query = Query.of(space, Budget(seconds=60.0), rng)
             proposal = clock(
                 "prediction of sequences to all goals", stages.predict, query, Observation(cloud)

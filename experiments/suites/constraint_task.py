@@ -55,7 +55,7 @@ TRIM = 0.02  # [m] cut off all round a door's panel, which fits its casing to ha
 TRAY = Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19)))
 
 
-class Kept(NamedTuple):
+class HandConstraint(NamedTuple):
     """What a problem asks of the hand."""
 
     region: TaskSpaceRegion  # where it must stay
@@ -72,11 +72,11 @@ def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
     return TaskSpaceRegion(there, np.eye(4), np.stack([-bound, bound], axis=1))
 
 
-def _arc(T: np.ndarray, rng: np.random.Generator) -> Kept:
+def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
     """About an axis of any direction, the hand turning with it as with a crank."""
     axis = Line(_direction(rng), (0.0, 0.0, 0.0)).region().T0_w.copy()
     axis[:3, 3] = T[:3, 3] + rng.uniform(*LEVER) * axis[:3, 0]
-    return Kept(_about(axis, T, ARC))
+    return HandConstraint(_about(axis, T, ARC))
 
 
 def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
@@ -91,20 +91,20 @@ def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], Kept]] = {
-    "upright": lambda T, rng: Kept(upright()),
-    "fixed-orientation": lambda T, rng: Kept(_turned_like(T, TURN)),
-    "plane": lambda T, rng: Kept(Plane(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
-    "line": lambda T, rng: Kept(Line(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
+KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]] = {
+    "upright": lambda T, rng: HandConstraint(upright()),
+    "fixed-orientation": lambda T, rng: HandConstraint(_turned_like(T, TURN)),
+    "plane": lambda T, rng: HandConstraint(Plane(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
+    "line": lambda T, rng: HandConstraint(Line(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
     "arc": _arc,
-    "tray": lambda T, rng: Kept(upright(LEVEL), (TRAY,)),
+    "tray": lambda T, rng: HandConstraint(upright(LEVEL), (TRAY,)),
     # a can is tipped about the axis along which the fingers reach, which keeps its direction
-    "pouring": lambda T, rng: Kept(_turned_like(T, FREE), (carried_can(),)),
+    "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
 }
 """Makers of a constraint that a hand at a pose T (4, 4) meets; the door's, which hangs on the scene, is `held_door`."""
 
 
-def held_door(rng: np.random.Generator) -> tuple[Scene, Kept]:
+def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
     """The kitchen without one of the shelf's doors, which hangs on its hinge and in the hand, held firmly.
 
     So the door is a thing that an arm of seven joints carries along an arc, and not, as in `door_task`, a joint.
@@ -119,8 +119,8 @@ def held_door(rng: np.random.Generator) -> tuple[Scene, Kept]:
     begun = scene.with_joint(door, angles[0])
     parts = tuple(_carried(begun, name, hands[0]) for name in hinge.moves)
     start, goal = (TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2))) for T in hands)
-    kept = _about(hinge.T_world_joint, hands[0], WIDE)
-    return scene.without(*hinge.moves), Kept(kept, parts, start, goal)
+    hand = _about(hinge.T_world_joint, hands[0], WIDE)
+    return scene.without(*hinge.moves), HandConstraint(hand, parts, start, goal)
 
 
 def _carried(scene: Scene, name: str, T: np.ndarray) -> Attachment:
@@ -168,15 +168,15 @@ def _within_reach(problem: PlanningProblem) -> bool:
 
 def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> PlanningProblem | None:
     """A constraint of a kind, a free start on it and goals; None where there is none."""
-    scene, robot, kept = _drawn(kind, number, rng)
+    scene, robot, hand = _drawn(kind, number, rng)
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(
-        name, robot, scene, middle, middle[None], (kept.region,), attachments=kept.attachments
+        name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments
     )
-    if kept.start is not None:
+    if hand.start is not None:
         checker = problem.collision_checker(SAMPLE_MARGIN)
-        start = next(iter(sample_region(robot, kept.start, checker, rng, count=1).configurations), None)
-        goal = kept.goal
+        start = next(iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None)
+        goal = hand.goal
     else:
         start, end = blocked_pair(problem, rng, SAMPLE_MARGIN, MOVED, PROJECTED) or (None, None)
         goal = None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
@@ -186,11 +186,11 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
     return with_sampled_goals(problem)[0]
 
 
-def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Robot, Kept]:
+def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Robot, HandConstraint]:
     """A scene, the arm, and what a hand keeps there at a pose in which the arm is free."""
     if kind == "door":
-        scene, kept = held_door(rng)
-        return scene, panda(GRIP), kept
+        scene, hand = held_door(rng)
+        return scene, panda(GRIP), hand
     families, robot = tuple(FAMILIES), panda()
     scene = family_scene(families[number % len(families)], FIRST_SCENE + number)
     checker = shared_checker(robot, scene, (), SAMPLE_MARGIN)

@@ -24,7 +24,7 @@ PROBLEMS = range(50)
 DRAWS = 4000  # configurations drawn for start and goal
 APART = 2.0  # [rad] start and goal at least
 CLEAR = 0.001  # [m] that start and goal keep from obstacles
-TRIES = 200  # pairs looked at for one whose straight motion is blocked
+TRIES = 200  # pairs drawn for one whose straight motion is blocked
 
 
 def family_problem(

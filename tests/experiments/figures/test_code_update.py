@@ -33,7 +33,6 @@ from experiments.figures.drawing import figure_bytes
 from experiments.figures.scene_pictures import HandPoses, cloud_figure, hands_of_code
 
 SETTINGS = UpdateSettings(samples=300)
-PUBLISHED = "published"
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +43,9 @@ def model(tmp_path_factory, panda):
     return folder
 
 
-@pytest.fixture(scope="module", params=["shipped", PUBLISHED])
-def of(request, model):
-    return str(model) if request.param == PUBLISHED else None
-
-
 @pytest.fixture(scope="module")
-def update(problem, of):
-    return update_codes(problem, of, SETTINGS)
+def update(problem):
+    return update_codes(problem, None, SETTINGS)
 
 
 # ---------------------------------------------------------------- pure functions
@@ -117,8 +111,7 @@ def test_draws_have_the_mean_and_spread_of_what_is_sampled(update):
     np.testing.assert_allclose(np.cov(draws.T) / scale, covariance / scale, atol=0.03)
 
 
-def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem):
-    update = update_codes(problem, None, SETTINGS)
+def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem, update):
     codebook = codebook_of(Weights("vq_mpt"), problem.robot)
     means, covariances = codebook.gaussians(codebook.vectors[update.codes])
     np.testing.assert_array_equal(update.before.means, means)
@@ -144,10 +137,10 @@ def test_representatives_are_far_and_near_by_rank(update):
     assert [change.role for change in code_changes(update)] == [FAR, NEAR]
 
 
-def test_updates_repeat_and_seeds_differ(update, problem, of):
-    again = update_codes(problem, of, SETTINGS)
+def test_updates_repeat_and_seeds_differ(update, problem):
+    again = update_codes(problem, None, SETTINGS)
     np.testing.assert_array_equal(again.g_after, update.g_after)
-    other = update_codes(problem, of, UpdateSettings(seed=1, samples=300))
+    other = update_codes(problem, None, UpdateSettings(seed=1, samples=300))
     assert not np.array_equal(other.noise, update.noise)
 
 
@@ -170,9 +163,8 @@ def test_hands_by_another_kinematics(update, problem):
     assert upright.tilt[0] < 1e-4
 
 
-def test_figures_repeat_byte_for_byte(problem):
-    changes = code_changes(update_codes(problem, None, SETTINGS))
-    first, again = (figure_bytes(histogram_figure(changes), "svg") for _ in range(2))
+def test_figures_repeat_byte_for_byte(update):
+    first, again = (figure_bytes(histogram_figure(code_changes(update)), "svg") for _ in range(2))
     assert first == again and b"<svg" in first
 
 
