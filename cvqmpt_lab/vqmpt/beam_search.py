@@ -26,13 +26,8 @@ class StepDecoder(Protocol):
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """Replace the rows and return the logits (rows, n_classes) of what follows them.
 
-        Parameters
-        ----------
-        parents
-            (rows,) int64: the earlier row, of the same query, that each new row continues. The number of rows is
-            chosen at the first step and stays.
-        codes
-            (rows,) int64: what each adds to it.
+        parents (rows,) int64: the earlier row, of the same query, that each new row continues; codes (rows,) int64:
+        what it adds. The number of rows is chosen at the first step and stays.
         """
 
 

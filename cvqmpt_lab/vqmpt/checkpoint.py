@@ -110,13 +110,8 @@ def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: st
     """Make a module with exactly these trained tensors, in evaluation mode.
 
     The module is made only once names and shapes are known to fit, so that sizes which no file confirms cost neither
-    time nor memory.
-
-    Raises
-    ------
-    InvalidInputError
-        As `load_tensors`, and for what no training can have left: negative variances, codes that are not of
-        unit length, constants of another model.
+    time nor memory. Raises InvalidInputError as `load_tensors` does, and for what no training can have left: negative
+    variances, codes that are not of unit length, constants of another model.
     """
     with torch.device("meta"):
         _require_fit(build(), tensors, where)
@@ -141,11 +136,8 @@ def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: st
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
     """Copy tensors into a module of exactly their names and shapes.
 
-    Raises
-    ------
-    InvalidInputError
-        Naming, after `where`, the tensors that are missing, left over, of another shape or kind, or not finite
-        in the module's precision.
+    Raises InvalidInputError naming, after `where`, the tensors that are missing, left over, of another shape or kind,
+    or not finite in the module's precision.
     """
     _require_fit(module, tensors, where)
     expected = module.state_dict()

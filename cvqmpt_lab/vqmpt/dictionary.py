@@ -136,12 +136,8 @@ class Quantizer(nn.Module):
     def restart_codes(self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None) -> int:
         """Put codes onto encoded waypoints drawn at random; return how many were moved.
 
-        Parameters
-        ----------
-        dead
-            (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from data.
-        latents
-            (m, d_model): encoded waypoints; drawn without replacement while they last. InvalidInputError for none.
+        dead (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from data. latents
+        (m, d_model): encoded waypoints, drawn without replacement while they last; InvalidInputError for none.
         """
         indices = dead.nonzero()[:, 0]
         if len(indices) == 0:

@@ -157,10 +157,8 @@ def _epoch(content: Mapping[str, Any]) -> int | None:
 def read_tensors(path: Path) -> dict[str, Any]:
     """Read a pickle that may hold tensors and plain values, nothing that runs.
 
-    Raises
-    ------
-    InvalidInputError
-        Saying what the file is instead: missing, a web page, empty, cut, or a pickle that wants to run code.
+    Raises InvalidInputError, which says what the file is instead: missing, a web page, empty, cut, or a pickle that
+    wants to run code.
     """
     data = read_bytes(require_regular_file(path))
     try:

@@ -15,10 +15,7 @@ LARGEST_EXTENT = 50.0  # of a cloud [m]; a larger one was almost surely given in
 def require_point_cloud(points: Any) -> None:
     """Check a cloud (..., m, 3) [m], an array or a tensor.
 
-    Raises
-    ------
-    InvalidInputError
-        For fewer than two points, another shape, NaN, or an extent that cannot be metres.
+    Raises InvalidInputError for fewer than two points, another shape, NaN, or an extent that cannot be metres.
     """
     if points.ndim < 2 or points.shape[-1] != 3:
         raise InvalidInputError(f"point cloud of shape {tuple(points.shape)}; it must be (n, 3) [m]")

@@ -42,18 +42,10 @@ class MPNet(nn.Module):
         stochastic: bool = True,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Propose the next configuration (b, joint_dim), not clipped.
+        """Propose the next configuration (b, joint_dim) from current towards goal (b, joint_dim), not clipped.
 
-        Parameters
-        ----------
-        current, goal
-            (b, joint_dim) in [-1, 1].
-        code
-            (b, code_dim), of `encode`.
-        stochastic
-            Dropout on, in training and, as in the published code, in planning.
-        generator
-            Source of the dropout, for runs that repeat.
+        code (b, code_dim): of `encode`. stochastic: dropout on, in training and, as in the published code, in planning;
+        drawn from generator, for runs that repeat.
         """
         x = torch.cat((code, current, goal), dim=-1)
         for i, layer in enumerate(self.hidden):

@@ -82,10 +82,7 @@ class Predictor:
     def __init__(self, model: StoredModel, robot: Robot, settings: PredictorSettings | None = None) -> None:
         """Take over a model's weights.
 
-        Raises
-        ------
-        InvalidInputError
-            When it has no sequence model, belongs to another robot, or its weights do not fit its configuration.
+        Raises InvalidInputError when it has no sequence model, belongs to another robot, or does not fit its sizes.
         """
         model.require_part("sequence_model")
         require_torch("a sequence model of kind 'published'")
@@ -119,10 +116,7 @@ class Predictor:
     ) -> Prediction:
         """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
 
-        Raises
-        ------
-        InvalidInputError
-            For a cloud that `checked_cloud` refuses, or a start or goal that is no configuration of the robot.
+        Raises InvalidInputError for a cloud that `checked_cloud` refuses, or a start or goal outside the joint limits.
         """
         start, goals = self._checked(start, goals)
         began = time.perf_counter()
@@ -168,14 +162,12 @@ class Predictor:
 
     def _checked(self, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start (n,) and goals (k, n) as float64."""
-        n, name = self.robot.dof, self.robot.name
+        n = self.robot.dof
         start, goals = _numbers(start, "start"), _numbers(goals, "goals")
         if start.shape != (n,):
-            raise InvalidInputError(f"start of shape {start.shape}; robot {name!r} takes ({n},)")
+            raise InvalidInputError(f"start of shape {start.shape}; the robot takes ({n},)")
         if goals.ndim != 2 or goals.shape[1] != n or len(goals) == 0:
-            raise InvalidInputError(
-                f"goals of shape {goals.shape}; robot {name!r} takes (k, {n}), at least one"
-            )
+            raise InvalidInputError(f"goals of shape {goals.shape}; the robot takes (k, {n}), at least one")
         for what, q in (("start", start), *((f"goal {i}", goal) for i, goal in enumerate(goals))):
             if not np.isfinite(q).all():
                 joint = self.robot.joint_names[int(np.argmin(np.isfinite(q)))]

@@ -140,10 +140,7 @@ class StoredModel:
 def write_model(folder: Path, model: StoredModel) -> None:
     """Write a folder of weights, replacing an earlier one at once or not at all.
 
-    Raises
-    ------
-    InvalidInputError
-        For weights that are not finite, or when the disk refuses; nothing is left behind.
+    Raises InvalidInputError for weights that are not finite, or when the disk refuses; nothing is left behind.
     """
     folder = Path(folder)
     beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
@@ -208,12 +205,8 @@ def read_description(
 ) -> dict[str, Any]:
     """Read ``config.json``: its fields as `write_model` writes them, the robot as a `RobotSignature`.
 
-    Raises
-    ------
-    InvalidInputError
-        When it is missing or malformed, or describes another architecture than `architecture`, if given.
-    OtherRobotError
-        When the weights belong to another robot than `robot`, if given.
+    Raises InvalidInputError when it is missing or malformed, or describes another architecture than is given;
+    OtherRobotError when the weights belong to another robot than is given.
     """
     path = Path(folder) / CONFIG_FILE
     data = read_json_object(require_regular_file(path, "weights"), "weights")
@@ -234,10 +227,7 @@ def read_model(
 ) -> StoredModel:
     """Read a folder of weights; `robot` and `architecture` as in `read_description`, and its errors.
 
-    Raises
-    ------
-    InvalidInputError
-        Also naming the file that is missing or damaged (sha256), or the wrong field of the model's sizes.
+    Raises InvalidInputError also for a file that is missing or damaged (sha256), or a wrong field of the sizes.
     """
     description = read_description(folder, architecture, robot)
     of, listed = description["architecture"], description["sha256"]
@@ -288,19 +278,9 @@ def resolve_model(
 ) -> Path:
     """Folder of a model's weights.
 
-    Parameters
-    ----------
-    model
-        A name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights.
-    architecture, robot
-        What the weights must be and whom they must belong to; None for any.
-
-    Raises
-    ------
-    InvalidInputError
-        When there is no such model, or one of another architecture.
-    OtherRobotError
-        When its weights belong to another robot.
+    model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights. architecture, robot:
+    what the weights must be and whom they must belong to; None for any. Raises InvalidInputError when there is no such
+    model, and the errors of `read_description`.
     """
     names = [name for name, of in SHIPPED.items() if architecture in (None, of)]
     name = names[0] if model is None else str(model)

@@ -1,10 +1,6 @@
 """`cvqmpt model`: report on weights, conversion of published folders, and the weights that ship."""
 
 import json
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,14 +13,10 @@ from cli.main import main
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import weights
-from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, load_checkpoint, save_checkpoint, stored
+from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt, robot_signature
-from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.weights import WEIGHTS, OtherRobotError, resolve_model, weights_digest
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def info(capsys, *words):
@@ -62,14 +54,8 @@ def test_info_tells_what_is_in_a_folder(panda, tmp_path, capsys):
         "--json",
     ):
         assert words in text
-
-
-def test_info_reads_mpnet_too(panda, tmp_path, capsys):
-    network = MPNet(MPNetConfig(n_points=16, encoder_widths=(8,), code_dim=4, planner_widths=(8, 8)))
-    save_checkpoint(tmp_path, MPNetCheckpoint(robot_signature(panda), network, {"epochs": 1}))
-    found = info(capsys, "--model", tmp_path)
-    assert found["architecture"] == "mpnet" and found["model"]["n_points"] == 16
-    assert "mpnet.safetensors" in found["parts"]
+    found = info(capsys, "--model", "mpnet")
+    assert found["architecture"] == "mpnet" and "mpnet.safetensors" in found["parts"]
 
 
 def test_published_folders_are_converted_and_predict(panda, published, tmp_path, capsys):
@@ -82,13 +68,9 @@ def test_published_folders_are_converted_and_predict(panda, published, tmp_path,
         assert f"\n{name} " in text
     assert "epochs: dictionary 7, sequence model 7\nnot used: epoch, n_steps, optimizer" in text
     assert info(capsys, "--model", out)["model"]["dictionary"]["n_position"] == STAGE1["n_position"]
-    checkpoint = load_checkpoint(out, robot_signature(panda))
-    source = torch.load(ar_dir / "best_model.pkl", weights_only=False)["ar_model_state"]
-    for name, tensor in checkpoint.sequence_model.autoregressive.state_dict().items():
-        assert torch.equal(tensor, source[name])
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
-    predictor = Predictor(stored(checkpoint), panda, PredictorSettings())
+    predictor = Predictor(load_vq_mpt(panda, out), panda)
     prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:])
     assert len(prediction.sequences[0].codes) > 0
     again = refused(capsys, "model", *words[1:])
@@ -113,15 +95,13 @@ def test_what_cannot_be_done_is_one_line(words, message, tmp_path, monkeypatch, 
 
 def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
     save_checkpoint(tmp_path / "model", random_checkpoint(panda))
-    weights = tmp_path / "model" / "dictionary.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-4] + b"\0\0\0\1")
-    assert "dictionary.safetensors is damaged" in refused(
-        capsys, "model", "info", "--model", tmp_path / "model"
-    )
-    config = tmp_path / "model" / "config.json"
+    folder, words = tmp_path / "model", ("model", "info", "--model", tmp_path / "model")
+    file = folder / "dictionary.safetensors"
+    file.write_bytes(file.read_bytes()[:-4] + b"\0\0\0\1")
+    assert "dictionary.safetensors is damaged" in refused(capsys, *words)
+    config = folder / "config.json"
     config.write_text(config.read_text().replace('"vq-mpt"', '"rrt"'))
-    message = refused(capsys, "model", "info", "--model", tmp_path / "model")
-    assert "'rrt'; valid choices: vq-mpt, mpnet" in message
+    assert "'rrt'; valid choices: vq-mpt, mpnet" in refused(capsys, *words)
 
 
 def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, capsys):
@@ -134,11 +114,8 @@ def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, 
 
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path, monkeypatch):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
-    assert (
-        resolve_model(architecture="mpnet", robot=robot_signature(panda))
-        == resolve_model("mpnet")
-        == WEIGHTS / "mpnet"
-    )
+    found = resolve_model(architecture="mpnet", robot=robot_signature(panda))
+    assert found == resolve_model("mpnet") == WEIGHTS / "mpnet"
     checkpoint = random_checkpoint(panda)
     save_checkpoint(tmp_path / "run" / "model", checkpoint)
     assert resolve_model(tmp_path / "run") == tmp_path / "run" / "model"
@@ -152,27 +129,3 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
     monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
     with pytest.raises(InvalidInputError, match=r"no weights in .*vq_mpt; give one of vq_mpt"):
         load_vq_mpt(panda)
-
-
-def test_weights_folders_are_part_of_the_package(tmp_path):
-    """A small tree with this project's settings, built."""
-    for name in ("pyproject.toml", "README.md", "LICENSE", "cvqmpt_lab/__init__.py"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        shutil.copy(ROOT / name, tmp_path / name)
-    files = [f"cvqmpt_lab/weights/vq_mpt/{name}" for name in ("config.json", "README.md", "x.safetensors")]
-    for name in files:
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("{}")
-    command = [
-        sys.executable,
-        "-W",
-        "ignore",
-        "-c",
-        "from setuptools import setup; setup()",
-        "build_py",
-        "-d",
-        "out",
-    ]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert [name for name in files if not (tmp_path / "out" / name).is_file()] == []

@@ -149,7 +149,7 @@ CLOUD = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 3))
         ({"cloud": CLOUD[None]}, r"shape \(1, 50, 3\)"),
         ({"cloud": "cloud.ply"}, "point cloud must be numbers"),
         ({"start": HOME + [0, 0, 0, 3.0, 0, 0, 0]}, "start: joint 'panda_joint4' is 0.7138 outside"),
-        ({"start": HOME[:6]}, r"start of shape \(6,\); robot 'panda' takes \(7,\)"),
+        ({"start": HOME[:6]}, r"start of shape \(6,\); the robot takes \(7,\)"),
         ({"goals": [HOME, HOME - 2.0]}, "goal 1: joint 'panda_joint4' is"),
         ({"goals": HOME}, r"goals of shape \(7,\)"),
         ({"goals": np.empty((0, 7))}, "at least one"),
