@@ -59,7 +59,7 @@ class FilledCells:
         return float(np.clip(abs(mesh.volume) / (cells * self._cell**3), 0.5, 1.5))
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
-        """FilledCells volume [m^3] between two corners (3,), about."""
+        """Solid volume [m^3] between two corners (3,), about."""
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         last = np.where(last == np.array(self._share.shape) - 1, last + 1, last)  # the outermost cells
         part = self._share[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]

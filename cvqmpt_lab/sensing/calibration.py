@@ -42,15 +42,6 @@ LEAST_LEAD = 0.03  # by which the score must exceed that of any other pose
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
-    """What a picture says of k samples of a surface that could be seen if nothing hid them."""
-
-    seen: np.ndarray  # (k,) bool, towards the camera, where it measured something
-    excess: FloatArray
-    """(k,) [m], measured depth over that of the sample; positive where the camera looked through it."""
-
-
-@dataclass(frozen=True, eq=False)
 class DepthPicture:
     """Depths of a cloud around its middle."""
 
@@ -79,8 +70,11 @@ class DepthPicture:
         picture.ravel()[taken] = depth[order][start + count // 2]
         return cls(turn, first, picture)
 
-    def compare(self, surface: Surface, T_camera_world: np.ndarray) -> Agreement:
-        """How samples agree at poses (..., 4, 4) of the world in the camera's frame; arrays are (..., s)."""
+    def excess(self, surface: Surface, T_camera_world: np.ndarray) -> FloatArray:
+        """Measured depth over that of samples (..., s) [m], at poses (..., 4, 4) of the world in the camera's frame.
+
+        Positive where the camera looked through a sample, -inf where it cannot see it or measured nothing.
+        """
         turn = self.turn @ T_camera_world[..., :3, :3]
         shift = T_camera_world[..., :3, 3] @ self.turn.T
         at = np.einsum("...ij,sj->...si", turn, surface.points) + shift[..., None, :]
@@ -91,7 +85,7 @@ class DepthPicture:
         inside = facing & ((pixel >= 0.0) & (pixel < self.depth.shape)).all(axis=-1)
         row, column = np.moveaxis(np.where(inside[..., None], pixel, 0.0).astype(np.int64), -1, 0)
         measured = np.where(inside, self.depth[row, column], np.nan)
-        return Agreement(inside & np.isfinite(measured), measured - far)
+        return np.where(np.isfinite(measured), measured - far, -np.inf)
 
     def in_front(self, surface: Surface, T_camera_world: np.ndarray) -> np.ndarray:
         """Which samples (s,) no other sample hides, at one pose (4, 4)."""
@@ -159,7 +153,7 @@ def _search(
     for count, share, tolerance in ROUNDS:
         motions = small_motions(share * reach * rng.uniform(-1.0, 1.0, (count, 6)))
         poses = np.concatenate([best, best[rng.integers(len(best), size=count)] @ motions])
-        score = _score(picture.compare(few, np.linalg.inv(poses)), tolerance)
+        score = _score(picture.excess(few, np.linalg.inv(poses)), tolerance)
         best = poses[np.argsort(-score)[:SURVIVORS]]
     chosen: list[FloatArray] = []
     for T in best:
@@ -168,9 +162,8 @@ def _search(
     return chosen[:REFINED]
 
 
-def _score(agreement: Agreement, tolerance: float) -> FloatArray:
+def _score(excess: FloatArray, tolerance: float) -> FloatArray:
     """How well samples (..., s) agree: those confirmed less those looked through, each a share of all, (...)."""
-    excess = np.where(agreement.seen, agreement.excess, -np.inf)
     through = np.clip(excess / tolerance - 1.0, 0.0, 1.0)
     return (np.exp(-np.square(excess / tolerance)) - through).mean(axis=-1)
 
@@ -190,11 +183,9 @@ class _View(NamedTuple):
 
 def _view(picture: DepthPicture, surface: Surface, T_world_camera: FloatArray) -> _View:
     T_camera_world = np.linalg.inv(T_world_camera)
-    agreement = picture.compare(surface, T_camera_world)
-    seen = agreement.seen & picture.in_front(surface, T_camera_world)
-    excess = np.where(seen, agreement.excess, -np.inf)
-    score = float(_score(Agreement(seen, excess), AGREEING))
-    return _View(np.abs(excess) <= AGREEING, excess > AGREEING, score)
+    in_front = picture.in_front(surface, T_camera_world)
+    excess = np.where(in_front, picture.excess(surface, T_camera_world), -np.inf)
+    return _View(np.abs(excess) <= AGREEING, excess > AGREEING, float(_score(excess, AGREEING)))
 
 
 def _doubts(found: Calibration, view: _View, rival: float, surface: Surface, arm: Arm) -> Iterator[str]:
