@@ -92,10 +92,8 @@ def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
     ]
     expected = np.array([marched(mixed, eye, camera.intrinsics, *pixel) for pixel in pixels])
     found = np.array([depth[pixel] for pixel in pixels])
-    grazing = np.isfinite(expected) != np.isfinite(found)
-    grazing |= (
-        np.abs(np.where(np.isfinite(expected), expected, 0) - np.where(np.isfinite(found), found, 0)) > 0.002
-    )
+    with np.errstate(invalid="ignore"):
+        grazing = (expected != found) & ~(np.abs(expected - found) <= 0.002)
     assert grazing.sum() <= 2  # rays that touch an edge for less than the walk's step
     assert len(np.unique(np.round(expected, 1))) > 5
 
@@ -172,5 +170,4 @@ def test_cameras_are_checked(make, message):
 
 def test_a_camera_may_look_straight_down():
     scene = Scene("s", (SceneObject("box", Box((0.4, 0.4, 0.4)), np.eye(4)),))
-    depth = depth_image(scene, camera_at((0.0, 0.0, 2.0), width=9, height=9))
-    assert depth[4, 4] == pytest.approx(1.8)
+    assert depth_image(scene, camera_at((0.0, 0.0, 2.0), width=9, height=9))[4, 4] == pytest.approx(1.8)

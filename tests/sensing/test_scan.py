@@ -81,24 +81,16 @@ def test_the_table_becomes_a_box_or_goes(files, capture, plane):
         np.testing.assert_allclose(made.table.T_world_object[2, 3], 0.0, atol=0.005)
 
 
-def test_nothing_left_names_the_filter_and_where_the_points_were(capture):
+def test_scans_and_settings_without_sense_are_refused(capture):
     with pytest.raises(
         InvalidInputError, match=r"nothing of the scan is left after crop: before, its \d+ points lay"
     ):
         cleaned(capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
-
-
-def test_two_captures_cannot_be_levelled(capture):
     with pytest.raises(InvalidInputError, match="2 captures cannot be levelled"):
         scan([capture, capture], ScanSettings(level=True), np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
-    "settings", [{"voxel": 0.0}, {"voxel": float("nan")}, {"robot_margin": -0.1}, {"neighbours": -1}]
-)
-def test_settings_without_sense_are_refused(settings):
-    with pytest.raises(InvalidInputError, match=r"give (more than 0|0 or more)"):
-        ScanSettings(**settings)
+    for settings in ({"voxel": 0.0}, {"voxel": float("nan")}, {"robot_margin": -0.1}, {"neighbours": -1}):
+        with pytest.raises(InvalidInputError, match=r"give (more than 0|0 or more)"):
+            ScanSettings(**settings)
 
 
 def test_obstacles_cover_the_surface_that_the_camera_saw(capture):
