@@ -1,4 +1,4 @@
-"""`cvqmpt model`: look at weights, convert published ones."""
+"""`cvqmpt model`: report on weights, convert published ones."""
 
 import argparse
 import json
@@ -18,8 +18,7 @@ EXAMPLES = (
     "cvqmpt model import --dictionary-dir model1 --ar-dir stage2/model1 --out runs/published",
 )
 ACTIONS = ("info", "import")
-SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
-"""Metadata that the summary shows, where there is any."""
+SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")  # metadata that it shows
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
-    """Convert published folders, whose weights are the Panda's."""
+    """Convert published folders, weights of the Panda."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InvalidInputError(f"{out} is there and not empty; choose another --out")
     require_torch("cvqmpt model import")
@@ -113,9 +112,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
     shown = {name: metadata[name] for name in SUMMARY if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
-    lines += ["", *(f"{name:44} {_short(value)}" for name, value in shown.items() if value is not None)]
+    texts = {
+        name: f"{x:.6g}" if isinstance(x, float) else str(x) for name, x in shown.items() if x is not None
+    }
+    lines += ["", *(f"{name:44} {text}" for name, text in texts.items())]
     return [*lines, "", f"sizes and training in full: cvqmpt model info --model {found['folder']} --json"]
-
-
-def _short(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -133,7 +133,7 @@ class ModelConfigurations:
     """
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Raise InvalidInputError for a model of another robot, or whose features are not described or differ."""
+        """Raise InvalidInputError for a model of another robot, or with features that are not described or differ."""
         model.robot.require_same(robot_signature(robot))
         self._robot = robot
         self.lower, self.range = robot.lower, robot.upper - robot.lower
@@ -226,7 +226,7 @@ def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np
     given = ModelConfigurations(model, robot).of(configurations)
     if model.config.dictionary.encoder == "mlp":
         return waypoint_codes(model, given)
-    require_torch("a dictionary whose encoder looks at whole trajectories")
+    require_torch("a dictionary whose encoder takes whole trajectories")
     from cvqmpt_lab.vqmpt.checkpoint import trajectory_codes
 
     return trajectory_codes(model, given)

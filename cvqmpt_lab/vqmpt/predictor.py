@@ -29,7 +29,7 @@ LIMIT_TOLERANCE = 1e-6  # start and goals may leave the joint limits by this muc
 SMALLEST_STD = (
     1e-4  # no Gaussian is narrower in any direction [rad], so that covariances stay positive definite
 )
-SCENES = 8  # encoded clouds that are kept
+SCENES = 8  # encoded clouds in the cache
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -279,8 +279,8 @@ def resolve_model(
     """Folder of a model's weights.
 
     model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights. architecture, robot:
-    what the weights must be and whom they must belong to; None for any. Raises InvalidInputError when there is no such
-    model, and the errors of `read_description`.
+    what the weights must be, and of which robot; None for any. Raises InvalidInputError when there is no such model,
+    and the errors of `read_description`.
     """
     names = [name for name, of in SHIPPED.items() if architecture in (None, of)]
     name = names[0] if model is None else str(model)

@@ -99,7 +99,7 @@ def test_gradients_are_those_of_finite_differences(exact, constraint):
 
 
 def g_of(codebook, z, constraint, draws=2000):
-    """G (c,) from draws that the update never saw, through the Gaussians that planners sample."""
+    """G (c,) from fresh draws, through the Gaussians that planners sample."""
     rng, values = np.random.default_rng(77), []
     for mean, covariance in zip(*codebook.gaussians(z), strict=True):
         q = mean + rng.standard_normal((draws, 7)) @ np.linalg.cholesky(covariance).T

@@ -134,16 +134,15 @@ def test_straight_through_gradient_reaches_the_encoder_and_the_code():
 
 
 def test_codes_restart_on_data():
-    quantizer, latents = Quantizer(12, 8, 16), torch.randn(40, 16)
-    dead = torch.arange(12) < 5
+    quantizer, latents, dead = Quantizer(12, 8, 16), torch.randn(40, 16), torch.arange(12) < 5
     before = quantizer.embedding.weight.detach().clone()
     assert quantizer.restart_codes(dead, latents, torch.Generator().manual_seed(1)) == 5
     after = quantizer.embedding.weight.detach()
     torch.testing.assert_close(after[5:], before[5:])
-    cosines = after[:5] @ quantizer.project(latents).T
-    torch.testing.assert_close(cosines.max(dim=1).values, torch.ones(5))
-    assert len(set(cosines.argmax(dim=1).tolist())) == 5
-    assert quantizer.restart_codes(torch.zeros(12, dtype=torch.bool), latents) == 0
+    cosines, places = (after[:5] @ quantizer.project(latents).T).max(dim=1)
+    torch.testing.assert_close(cosines, torch.ones(5))
+    assert len(set(places.tolist())) == 5
+    assert quantizer.restart_codes(dead & False, latents) == 0
     with pytest.raises(InvalidInputError, match="0 latents"):
         quantizer.restart_codes(dead, latents[:0])
 
