@@ -11,8 +11,7 @@ from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planning.result import Budget, JointPath
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line, phase_problem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
@@ -63,21 +62,18 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
-    """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner."""
+    """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner.
+
+    The path of a problem in a map is also judged in the scene that the map is of.
+    """
     if isinstance(item, UnsolvableProblem):
         return Outcome(failed_rows(run, item, item.kind, item.reason))
     if isinstance(item, Task):
         task = solve_task(item, run.method, run.budget, run.seed, backend=run.backend)
         return Outcome(phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes]))
-    if isinstance(item, SensedProblem):
-        return _sensed(run, item)
-    solution = _solved(run, item)
-    return Outcome([result_row(run, solution, goal_seconds)], _states([solution]))
-
-
-def _solved(run: Run, problem: PlanningProblem) -> Solution:
-    return solve(
-        problem,
+    began = time.perf_counter()
+    solution = solve(
+        item.problem if isinstance(item, SensedProblem) else item,
         run.method,
         run.budget,
         run.seed,
@@ -85,24 +81,19 @@ def _solved(run: Run, problem: PlanningProblem) -> Solution:
         optimize=run.optimize,
         new_scene=suite_named(run.suite).new_scenes,
     )
+    row = result_row(run, solution, goal_seconds)
+    if isinstance(item, SensedProblem):
+        whole = item.seconds + time.perf_counter() - began
+        row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
+        if solution.simplified is not None:
+            truth = certify(item.true_problem, solution.simplified.path)
+            hit = any(fault.kind is FaultKind.COLLISION for fault in truth.faults)
+            row = replace(row, true_free=not hit, true_clearance_m=_defined(truth.min_clearance_m))
+    return Outcome([row], _states([solution]))
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
     return [solution.simplified.path.states for solution in solutions if solution.simplified]
-
-
-def _sensed(run: Run, item: SensedProblem) -> Outcome:
-    """A problem in a map, whose path is also judged in the scene that the map is of."""
-    began = time.perf_counter()
-    solution = _solved(run, item.problem)
-    whole = item.seconds + time.perf_counter() - began
-    row = replace(result_row(run, solution, 0.0), t_sense_s=item.seconds, t_whole_s=whole)
-    if solution.simplified is None:
-        return Outcome([row])
-    truth = certify(item.true_problem, solution.simplified.path)
-    hits = [fault for fault in truth.faults if fault.kind is FaultKind.COLLISION]
-    row = replace(row, true_free=not hits, true_clearance_m=_defined(truth.min_clearance_m))
-    return Outcome([row], _states([solution]))
 
 
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
@@ -143,7 +134,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         max_violation_rad=_defined(certificate.max_violation_rad) if certificate else None,
         max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
         min_clearance_m=_defined(certificate.min_clearance_m) if certificate else None,
-        path_sha256=path_hash(shorter.path) if shorter else None,
+        path_sha256=states_hash(shorter.path.states) if shorter else None,
         t_improve_s=more.seconds if more else None,
         n_restarts=more.searches if more else None,
         path_length_first_rad=more.lengths[0][1] if more else None,
@@ -161,11 +152,6 @@ def _fail_reason(solution: Solution) -> FailReason | None:
 
 def _defined(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def path_hash(path: JointPath) -> str:
-    """What names a path in rows."""
-    return states_hash(path.states)
 
 
 def _phase_problems(task: Task) -> list[str]:

@@ -13,7 +13,8 @@ from cvqmpt_lab.planning import sight
 from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.results.row import FailReason, read_rows
-from experiments.rows import Run, failed_rows, outcome_of, path_hash, result_row
+from cvqmpt_lab.results.store import states_hash
+from experiments.rows import Run, failed_rows, outcome_of, result_row
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.suite import suite_named
@@ -73,7 +74,7 @@ def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words
     row = result_row(RUN, refused, goal_seconds=0.0)
     assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
     assert row.detail.startswith("a step of 1 rad; in collision: a and b")
-    assert row.path_sha256 == path_hash(solution.simplified.path)
+    assert row.path_sha256 == states_hash(solution.simplified.path.states)
 
 
 def test_a_fallback_has_its_column_and_counts_as_solved(solution):

@@ -27,7 +27,7 @@ from cvqmpt_lab.planning.proposal import Proposal
 from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.planning.space import ConstrainedSpace, SpaceSettings
 from cvqmpt_lab.problem import PlanningProblem
-from experiments.rows import path_hash
+from cvqmpt_lab.results.store import states_hash
 
 LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
 OURS = ("birrt", "guided-birrt")
@@ -46,7 +46,7 @@ def sampling(distribution):
 
 def outcome(result):
     """What must repeat bit for bit."""
-    return path_hash(result.path), result.counters, result.vertices
+    return states_hash(result.path.states), result.counters, result.vertices
 
 
 @pytest.mark.parametrize("name", PLANNERS)
@@ -85,17 +85,17 @@ def test_another_process_finds_the_same_paths(problem, tmp_path):
     code = (
         "from test_planners import *\n"
         "problem = PlanningProblem.load(sys.argv[1])\n"
-        "print(*(path_hash(plan(problem, name, ENOUGH, seed=3).path) for name in sys.argv[2:]))\n"
+        "print(*(states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in sys.argv[2:]))\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "problem.json"), *names]
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True)
-    here = [path_hash(plan(problem, name, ENOUGH, seed=3).path) for name in names]
+    here = [states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in names]
     assert there.stdout.split() == here, there.stderr
 
 
 @pytest.mark.parametrize("name", [*OURS, "ompl-projected"])
 def test_seeds_differ(problem, name):
-    assert len({path_hash(plan(problem, name, ENOUGH, seed=s).path) for s in range(3)}) == 3
+    assert len({states_hash(plan(problem, name, ENOUGH, seed=s).path.states) for s in range(3)}) == 3
 
 
 def test_backends_find_the_same_path(problem):
@@ -104,7 +104,7 @@ def test_backends_find_the_same_path(problem):
     Only the number of checks differs: with distances at hand, stretches of a motion are cleared at once.
     """
     compiled, exact = plan(problem, "birrt", ENOUGH), plan(problem, "birrt", ENOUGH, backend="exact")
-    assert path_hash(compiled.path) == path_hash(exact.path)
+    assert states_hash(compiled.path.states) == states_hash(exact.path.states)
     assert compiled.counters.projections == exact.counters.projections
     assert compiled.counters.state_checks < exact.counters.state_checks
 
