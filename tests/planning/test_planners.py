@@ -83,6 +83,7 @@ def test_another_process_finds_the_same_paths(problem, tmp_path):
     names = ("ompl-projected", "birrt")
     problem.save(tmp_path / "problem.json")
     code = (
+        "import sys; sys.path.append('..')\n"  # where process_memory is
         "from test_planners import *\n"
         "problem = PlanningProblem.load(sys.argv[1])\n"
         "print(*(states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in sys.argv[2:]))\n"
