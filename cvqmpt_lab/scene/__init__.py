@@ -1,1 +1,1 @@
-"""Shapes, scenes and exact collision checking; the door to coal."""
+"""Shapes, scenes and their files, the kitchen and random families of scenes."""

@@ -7,7 +7,7 @@ cut next, where its halves' hulls are smallest, through what is not solid. How m
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -65,10 +65,8 @@ class FilledCells:
         part = self._share[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
         return float(part.sum()) * self._cell**3
 
-    def void_profiles(
-        self, hull: FloatArray, low: FloatArray, high: FloatArray
-    ) -> list[Callable[[float], float]]:
-        """For each axis, a function from a coordinate to the area [m^2] there of a hull but not of the solid."""
+    def voids(self, hull: FloatArray, low: FloatArray, high: FloatArray) -> Callable[[int, float], float]:
+        """A function from an axis and a coordinate to the area [m^2] there of a hull but not of the solid."""
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         grids = np.indices(last - first + 1).reshape(3, -1).T + first
         equations = ConvexHull(hull).equations
@@ -76,12 +74,12 @@ class FilledCells:
         held = ((centres @ equations[:, :3].T + equations[:, 3]) < 0.0).all(axis=1)
         void = (held & (self._share[tuple(grids.T)] == 0.0)).reshape(last - first + 1)
         areas = [self._cell**2 * void.sum(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
-        return [partial(self._at, axis, int(first[axis]), area) for axis, area in enumerate(areas)]
 
-    def _at(self, axis: int, first: int, profile: np.ndarray, at: float) -> float:
-        """The entry of a profile, which begins at cell `first` of an axis, at a coordinate [m]."""
-        cell = round((at - self._low[axis]) / self._cell) - first
-        return float(profile[min(max(cell, 0), len(profile) - 1)])
+        def area(axis: int, at: float) -> float:
+            cell = round((at - self._low[axis]) / self._cell) - int(first[axis])
+            return float(areas[axis][min(max(cell, 0), len(areas[axis]) - 1)])
+
+        return area
 
     def holds(self, points: FloatArray) -> np.ndarray:
         """Whether points (k, 3) are well inside."""
@@ -115,11 +113,11 @@ class Piece:
     def halves(self) -> "list[Piece]":
         """The two parts on the sides of the best cut; itself where no cut leaves something on both."""
         sketch, whole = self._sketch(), max(_volume(self.hull), 1e-30)
-        profiles = self.solid.void_profiles(self.hull, self.low, self.high)
+        area = self.solid.voids(self.hull, self.low, self.high)
         best, axis, at = np.inf, 0, 0.0
         for axis_now, at_now in self._cuts():
             sides = _sides(sketch, axis_now, at_now)
-            void = profiles[axis_now](at_now) * (self.high - self.low)[axis_now]
+            void = area(axis_now, at_now) * (self.high - self.low)[axis_now]
             cost = (sum(map(_volume, sides)) - THROUGH_VOID * void) / whole
             if min(map(len, sides)) > 0 and cost < best:
                 best, axis, at = cost, axis_now, at_now
@@ -142,9 +140,8 @@ class Piece:
         """Places worth cutting at: (axis, coordinate)."""
         points = self.triangles.reshape(-1, 3)
         low, length = points.min(axis=0), np.ptp(points, axis=0)
-        twice = np.cross(
-            self.triangles[:, 1] - self.triangles[:, 0], self.triangles[:, 2] - self.triangles[:, 0]
-        )
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        twice = np.cross(b - a, c - a)
         area = np.linalg.norm(twice, axis=1)
         for axis in np.flatnonzero(length > 4.0 * NUDGE * length.max()):
             faces = np.abs(twice[:, axis]) > ACROSS * area

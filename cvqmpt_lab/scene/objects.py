@@ -1,4 +1,4 @@
-"""Pieces of furniture: upright boxes, cylinders along an axis, handles, and what a hinge or slider moves."""
+"""Pieces of furniture (boxes, cylinders, handles, what a hinge or slider moves), and the tasks' household objects."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -95,17 +95,13 @@ def bar_y(panel_y: Span, hinge_side: int, inset: float) -> float:
     return panel_y[0] + inset if hinge_side > 0 else panel_y[1] - inset
 
 
-# Household objects of the tasks: the chips can that is carried, and two obstacles on the counter.
-Vector = tuple[float, float, float]
-
-
 @dataclass(frozen=True)
 class ObjectModel:
     """The collision shape of an object, and where shape and centre of mass lie in the link frame."""
 
     shape: Box | Cylinder  # centred on its own frame, parallel to the link frame
-    shape_centre: Vector  # middle of the shape in the link frame [m]
-    com: Vector  # centre of mass in the link frame [m]
+    shape_centre: tuple[float, float, float]  # middle of the shape in the link frame [m]
+    com: tuple[float, float, float]  # centre of mass in the link frame [m]
 
     def at_com(self, name: str, position_com: Sequence[float], yaw: float = 0.0) -> SceneObject:
         """Return the object with its centre of mass at `position_com` (3,) [m], turned by `yaw` [rad]."""

@@ -1,1 +1,1 @@
-"""From what a depth camera saw to a scene: files, poses of cameras, filters, the table that things stand on."""
+"""Cameras, depth images and scans: from what a depth camera saw, or would see, to a cloud or a scene."""
