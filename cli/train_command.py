@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.stage == "sequences":
         raise InvalidInputError(
             "train sequences was removed: cvq-mpt searches its sequences by Dijkstra's algorithm on the edge costs of "
-            "`cvqmpt train sight`"
+            "`cvqmpt train edge-model`"
         )
     profile = _profile(args)
     if args.print_config:

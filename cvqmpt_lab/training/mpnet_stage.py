@@ -1,4 +1,8 @@
-"""MPNet: learn to propose the next waypoint. All examples of a batch count, unlike in the published code."""
+"""MPNet: learn to propose the next waypoint q_{t+1} from q_t, the goal and the encoded cloud z.
+
+The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_{t+1}|^2. All examples of a batch
+count, unlike in the published code.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -48,9 +52,9 @@ class MPNetStage(SceneStage):
     def validate(self) -> dict[str, float | None]:
         """Error on held-out scenes with their own cloud, and with the cloud of another scene; no dropout."""
         means = Means()
-        for held_out in self.held_out():
-            for prefix, cloud in held_out.clouds.items():
-                error = self._squared_error(held_out.batch, cloud, stochastic=False)
+        for batch, clouds in self.held_out():
+            for prefix, cloud in clouds.items():
+                error = self._squared_error(batch, cloud, stochastic=False)
                 means.add(f"{prefix}squared_error", float(error), 1)
         return {name: means.values().get(name) for name in ("squared_error", "wrong_cloud_squared_error")}
 

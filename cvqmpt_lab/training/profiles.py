@@ -39,13 +39,7 @@ class Profile:
             raise InvalidInputError("mpnet.batches.cloud.points must equal mpnet_model.n_points")
 
     def model_for(self, dataset: PathDataset) -> sizes.ModelConfig:
-        """The model for a dataset: its joints and features.
-
-        Raises
-        ------
-        InvalidInputError
-            When link features are asked for and the dataset has no kinematics.
-        """
+        """The model for a dataset: its joints and features, for which it must have kinematics."""
         if self.link_features and dataset.chain is None:
             raise InvalidInputError(
                 f"profile {self.name!r} takes link positions, but {dataset.folder} has no kinematics; "
@@ -53,10 +47,6 @@ class Profile:
             )
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
         return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)
-
-    def mpnet_model_for(self, dataset: PathDataset) -> sizes.MPNetConfig:
-        """The network for a dataset."""
-        return replace(self.mpnet_model, joint_dim=len(dataset.robot.lower))
 
     def stage(
         self, name: str, dataset: PathDataset, dictionary: Path | None, seed: int, device: torch.device
@@ -75,7 +65,8 @@ class Profile:
         if name == "stage1":
             return Stage1(dataset, self.model_for(dataset), self.stage1, seed, device)
         if name == "mpnet":
-            return MPNetStage(dataset, self.mpnet_model_for(dataset), self.mpnet, seed, device)
+            network = replace(self.mpnet_model, joint_dim=len(dataset.robot.lower))
+            return MPNetStage(dataset, network, self.mpnet, seed, device)
         if self.stage2 is None:
             own = ", ".join(name for name, one in PROFILES.items() if one.stage2 is not None)
             raise InvalidInputError(f"profile {self.name!r} has no stage2; profiles with one: {own}")

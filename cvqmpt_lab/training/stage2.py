@@ -127,7 +127,15 @@ class Stage2(SceneStage):
             When the dictionary belongs to another robot or is of another kind, or the dataset lacks paths.
         """
         super().__init__(dataset, settings.batches, settings.optimizer, seed, device)
-        self.config, self.settings = _combined(dataset, dictionary, config), settings
+        dictionary.robot.require_same(dataset.robot)
+        words = dictionary.config
+        if words.kind != config.kind:
+            raise InvalidInputError(
+                f"the dictionary is of kind {words.kind!r}, the configuration of kind {config.kind!r}; train it "
+                "with the same profile"
+            )
+        self.config = replace(words, point_cloud=config.point_cloud, sequence=config.sequence)
+        self.settings = settings
         self.dictionary: Dictionary = dictionary.dictionary.to(device).eval().requires_grad_(False)
         self.module = PublishedSequenceModel(self.config).to(device)
 
@@ -142,16 +150,13 @@ class Stage2(SceneStage):
     def validate(self) -> dict[str, float | None]:
         """Values on held-out scenes with their own cloud, and with the cloud of another scene."""
         means = {"": Means(), "wrong_cloud_": Means()}
-        for held_out in self.held_out():
-            examples = self._examples(held_out.batch)
-            families = self.dataset.scenes.family[held_out.scene]
-            for prefix, cloud in held_out.clouds.items():
+        for batch, clouds in self.held_out():
+            examples = self._examples(batch)
+            families = self.dataset.scenes.family[batch["scene"].cpu().numpy()]
+            for prefix, cloud in clouds.items():
                 self._measure(means[prefix], cloud, examples, families)
-        own, other = (each.values() for each in means.values())
-        result: dict[str, float | None] = {}
-        for name, value in own.items():
-            result |= {name: value, f"wrong_cloud_{name}": other.get(name)}
-        return result
+        every = {prefix: each.values() for prefix, each in means.items()}
+        return {prefix + name: every[prefix].get(name) for name in every[""] for prefix in every}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """Dictionary and sequence model as they stand."""
@@ -203,15 +208,3 @@ class Stage2(SceneStage):
         for number in np.unique(family).tolist():
             chosen = entropy[torch.from_numpy(family == number)]
             means.add(f"cross_entropy_{self.dataset.families[number]}", float(chosen.sum()), len(chosen))
-
-
-def _combined(dataset: PathDataset, dictionary: Checkpoint, config: ModelConfig) -> ModelConfig:
-    """The model's configuration: the trained dictionary's, with this stage's parts."""
-    dictionary.robot.require_same(dataset.robot)
-    trained = dictionary.config
-    if trained.kind != config.kind:
-        raise InvalidInputError(
-            f"the dictionary is of kind {trained.kind!r}, the configuration of kind {config.kind!r}; train it with the "
-            "same profile"
-        )
-    return replace(trained, point_cloud=config.point_cloud, sequence=config.sequence)

@@ -4,9 +4,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
@@ -108,16 +107,6 @@ class Stage(ABC):
         """The model as it stands, to be saved."""
 
 
-class HeldOut(NamedTuple):
-    """A batch of held-out paths."""
-
-    batch: dict[str, Tensor]
-    scene: np.ndarray  # (s,) row of each scene
-    clouds: dict[
-        str, Tensor
-    ]  # (s, points, 3) of each scene and of another one, by the prefix of measured values
-
-
 class SceneStage(Stage):
     """A training on paths with the clouds of their scenes."""
 
@@ -139,15 +128,18 @@ class SceneStage(Stage):
         """Batches of an epoch."""
         return SceneBatches.of_epoch(self.dataset, self._settings, self.turn, self.seed, epoch)
 
-    def held_out(self) -> Iterator[HeldOut]:
-        """Held-out scenes, with their own cloud and, where there is one, with that of another scene."""
+    def held_out(self) -> Iterator[tuple[dict[str, Tensor], dict[str, Tensor]]]:
+        """Batches of held-out scenes, and clouds (s, points, 3) to judge them with, by the prefix of what is measured.
+
+        Each scene's own cloud and, where there is one, that of another scene.
+        """
         for index in range(len(self._validation)):
             arrays = self._validation[index]
             batch = {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
             clouds, others = {"": batch["cloud"]}, other_scenes(arrays["scene"])
             if others is not None:
                 clouds["wrong_cloud_"] = batch["cloud"][others]
-            yield HeldOut(batch, arrays["scene"], clouds)
+            yield batch, clouds
 
 
 class Means:

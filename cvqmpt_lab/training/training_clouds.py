@@ -68,7 +68,9 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
     by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
     points = (_measured if by_cameras else _drawn)(shapes, settings, rng)
     if len(points) == 0:
-        points = _lowest(settings.crop)
+        (x, y, z), crop = settings.crop.centre, settings.crop
+        lowest = (x, y, z - crop.radius) if crop.kind == "ball" else (0.0, 0.0, crop.lower[2])
+        points = np.array([lowest], dtype=np.float32)
     if len(points) < settings.points:
         points = points[np.arange(settings.points) % len(points)]
     if settings.noise > 0.0 and not by_cameras:
@@ -83,9 +85,8 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
     if len(shapes):
         weights = _areas(shapes) * np.exp(settings.density * rng.standard_normal(len(shapes)))
         hides = rng.random() < settings.occlusion
-        eyes = _camera_positions(settings, rng)
-        cameras = eyes if hides else None
-        chance = 0.7 if cameras is None else 0.5
+        places = _camera_positions(settings, rng)  # drawn in any case
+        cameras, chance = (places, 0.5) if hides else (None, 0.7)
         for _ in range(ROUNDS):
             draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
             seen = _visible_points(shapes, weights, cameras, settings.crop, draw, rng)
@@ -105,27 +106,15 @@ def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator)
 
 
 def measured_points(
-    shapes: Shapes, eyes: np.ndarray, target: np.ndarray, rng: np.random.Generator
+    shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points (k, 3) float32 [m] that cameras at eyes (c, 3), looking at target (3,), measure, in random order."""
+    """Points (k, 3) float32 [m] that cameras at places (c, 3), looking at target (3,), measure, in random order."""
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
     solids: list[Solid] = [SOLIDS[kind](T, size) for kind, size, T in described]
     materials = MaterialShares().drawn(len(solids), rng)
-    seen = []
-    for eye in eyes:
-        view = view_of(solids, Camera(SMALL, look_at(eye, target)))
-        seen.append(measured(view, solids, materials, DepthNoise(), rng).points)
-    points = np.concatenate(seen)
+    views = [view_of(solids, Camera(SMALL, look_at(place, target))) for place in places]
+    points = np.concatenate([measured(v, solids, materials, DepthNoise(), rng).points for v in views])
     return points[rng.permutation(len(points))].astype(np.float32)
-
-
-def _lowest(crop: CropSettings) -> np.ndarray:
-    below = (
-        (crop.centre[0], crop.centre[1], crop.centre[2] - crop.radius)
-        if crop.kind == "ball"
-        else (0.0, 0.0, crop.lower[2])
-    )
-    return np.array([below], dtype=np.float32)
 
 
 def _areas(shapes: Shapes) -> np.ndarray:
