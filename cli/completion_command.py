@@ -8,9 +8,9 @@ import shtab
 
 from cli.main import COMMANDS, NEED_TORCH, parser_with
 from cvqmpt_lab.errors import UnknownChoiceError, torch_installed
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
-from cvqmpt_lab.planning.space import BACKENDS
+from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.robot.source import ARMS
+from cvqmpt_lab.search.space import BACKENDS
 from experiments.suites.suite import SUITES
 
 EXAMPLES = (

@@ -16,12 +16,11 @@ from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.methods.method import Method
-from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planning.result import JointPath
+from cvqmpt_lab.planners import PLANNERS, Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.suite import SUITES, suite_named
@@ -129,9 +128,7 @@ def _method(args: argparse.Namespace, problem: PlanningProblem) -> Method:
     method = planner_named(args.planner, args.model)
     if not args.cloud or motion_given(args):
         return method
-    from cvqmpt_lab.methods.observation import shown
-
-    return shown(method, scanned(args, arm_of(args, problem.robot, problem.start)).points)
+    return method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:

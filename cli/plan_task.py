@@ -6,7 +6,7 @@ import sys
 from cli.planner_options import budget
 from cli.show_options import show_task
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.table import planner_named
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.solve_task import TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task

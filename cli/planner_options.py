@@ -4,9 +4,9 @@ import argparse
 
 from cli.options import positive, positive_int
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.table import PLANNERS
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import BACKENDS
+from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import BACKENDS
 
 
 def add_budget(parser: argparse.ArgumentParser) -> None:

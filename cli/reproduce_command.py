@@ -11,7 +11,7 @@ from cli.report_command import write_report
 from cli.table_command import show_tables
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import PROFILES, amounts

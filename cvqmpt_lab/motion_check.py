@@ -10,9 +10,9 @@ import numpy as np
 from cvqmpt_lab.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 from cvqmpt_lab.trajectory.trajectory_files import Motion
 

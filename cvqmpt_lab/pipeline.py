@@ -11,18 +11,15 @@ import numpy as np
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
-from cvqmpt_lab.methods.method import Method, Stages
-from cvqmpt_lab.methods.table import planner_named, require_fit
-from cvqmpt_lab.planning.goals import sample_goals
-from cvqmpt_lab.planning.proposal import Observation
-from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.restarts import Improvement, check_units, improve
-from cvqmpt_lab.planning.result import Budget, Counters, JointPath, PlanResult, PlanStatus
-from cvqmpt_lab.planning.search import search
-from cvqmpt_lab.planning.simplify import Simplified, SimplifySettings, simplify
-from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
+from cvqmpt_lab.search.anytime import Improvement, check_units, improve
+from cvqmpt_lab.search.goals import sample_goals
+from cvqmpt_lab.search.query import Observation, Query, search
+from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
+from cvqmpt_lab.search.space import ConstrainedSpace
 
 MAX_GOALS = 20
 _log = logging.getLogger("cvqmpt")
@@ -32,19 +29,13 @@ _log = logging.getLogger("cvqmpt")
 class Solution:
     """What came of a problem."""
 
-    problem: PlanningProblem
-    """With its goals."""
+    problem: PlanningProblem  # with its goals
     plan: PlanResult
-    simplified: Simplified | None = None
-    """None without a path."""
-    certificate: Certificate | None = None
-    """Of the shortened path; None without one."""
-    goal_seconds: float = 0.0
-    """What drawing goals took [s]."""
-    observe_seconds: float = 0.0
-    """What looking at the scene took [s]; charged to nobody."""
-    improvement: Improvement | None = None
-    """What was made of the time for it after the first path; None where none was given. `simplified` has the best."""
+    simplified: Simplified | None = None  # none without a path
+    certificate: Certificate | None = None  # of the shortened path; None without one
+    goal_seconds: float = 0.0  # what drawing goals took [s]
+    observe_seconds: float = 0.0  # what looking at the scene took [s]; charged to nobody
+    improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
 
     @property
     def solved(self) -> bool:
@@ -63,12 +54,12 @@ def solve(
     simplification: SimplifySettings | None = None,
     clearance: bool = True,
     optimize: Budget | None = None,
-    new_scene: bool = False,
+    use_cache: bool = True,
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and start.
 
     optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
-    new_scene: the method is charged for all that it makes of the cloud, although it may remember the scene.
+    use_cache: False charges the planner for whatever it computes from the cloud, although it may remember the scene.
 
     Raises
     ------
@@ -88,9 +79,11 @@ def solve(
     check_problem(problem)
     require_fit(method, problem)
     stages = method.stages(problem)
-    observation = _observe(stages, problem, new_scene)
+    began = time.perf_counter()
+    cloud = None if stages.observe is None else stages.observe(problem.scene)
+    observation = Observation(cloud, time.perf_counter() - began, use_cache)
     _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
-    _log.info("cloud of %s points", "no" if observation.cloud is None else len(observation.cloud))
+    _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
     space, rng = ConstrainedSpace(problem, backend), problem.random_stream(seed)
 
     query = Query.of(space, budget, rng)
@@ -98,7 +91,7 @@ def solve(
     if stages.update is not None:
         proposal = stages.update(query, proposal)
 
-    _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.allowance.seconds)
+    _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.deadline.seconds)
     plan = search(stages.search, query, proposal)
     _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
 
@@ -152,13 +145,6 @@ def solve_many(
 def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
     """The result of a search that was never begun."""
     return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
-
-
-def _observe(stages: Stages, problem: PlanningProblem, new: bool) -> Observation:
-    """What the method sees of the problem's world."""
-    began = time.perf_counter()
-    cloud = None if stages.observe is None else stages.observe(problem)
-    return Observation(cloud, time.perf_counter() - began, new)
 
 
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
-from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planners import CONTROLS, PLANNERS
+from cvqmpt_lab.search.result import Budget
 from experiments.run import Experiment
 from experiments.suites.suite import SUITES, Suite
 

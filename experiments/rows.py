@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.certificate import FaultKind, certify
-from cvqmpt_lab.methods.method import Method
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line, phase_problem
 from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.suites.place_task import UnsolvableProblem
@@ -34,7 +33,7 @@ class Run:
     seed: int
     budget: Budget
     backend: str = "compiled"
-    model: str | None = None  # weights, of planners that use any; see `Weights.model`
+    model: str | None = None  # weights, of planners that use any; see `planners.Method.model`
     optimize: Budget | None = None  # spent on a better path once there is one; see `pipeline.solve`
 
     @property
@@ -79,7 +78,7 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         run.seed,
         backend=run.backend,
         optimize=run.optimize,
-        new_scene=suite_named(run.suite).new_scenes,
+        use_cache=not suite_named(run.suite).new_scenes,
     )
     row = result_row(run, solution, goal_seconds)
     if isinstance(item, SensedProblem):

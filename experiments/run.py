@@ -10,15 +10,15 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planning.restarts import check_units
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import BACKENDS
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
 from cvqmpt_lab.results.store import RunStore
+from cvqmpt_lab.search.anytime import check_units
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
@@ -136,8 +136,8 @@ def run_experiment(
 
 def models_of(planner: str) -> tuple[str, ...]:
     """Names of the models that a planner needs."""
-    weights = planner_named(planner).weights
-    return () if weights is None else (weights.kind,)
+    kind = planner_named(planner).weights
+    return () if kind is None else (kind,)
 
 
 def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, str]:

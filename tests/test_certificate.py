@@ -8,10 +8,10 @@ import pytest
 from cvqmpt_lab.certificate import LARGEST_STEP, TOLERANCE, certify
 from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.constraints.between_states import evenly_spaced
-from cvqmpt_lab.planning.result import JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
+from cvqmpt_lab.search.result import JointPath
 from experiments.suites.place_task import place_problem
 
 

@@ -13,8 +13,8 @@ from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import check_bundle, entry, forget_unused, kernel
 from cvqmpt_lab.kernels.search import lazy_roadmap, motion, shortcut, space_arrays, tree_growth
-from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.search.space import ConstrainedSpace
 
 
 class Pair(NamedTuple):

@@ -106,7 +106,7 @@ def test_layers_and_doors_are_kept(tmp_path):
 
 
 SPOILED = (  # a line of each kind of contract, what it is changed to, and what is found then
-    ("    cvqmpt_lab.planning.ompl_planners\n", "    cvqmpt_lab.planning.result\n", "-> ompl"),
+    ("    cvqmpt_lab.search.ompl_planners\n", "    cvqmpt_lab.search.result\n", "-> ompl"),
     ("    rerun\n    torch\n", "    rerun\n    numba\n", "-> numba"),
     (
         "    cvqmpt_lab.show.picture\n    cvqmpt_lab.show.stage",

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, InvalidProblemError
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.result import Budget, PlanStatus
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from experiments.suites.place_task import place_problem
 
 DATA = Path(__file__).parent / "data"

@@ -3,8 +3,8 @@
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.processes import one_thread
+from cvqmpt_lab.search.result import Budget
 
 
 def test_libraries_have_one_thread_meanwhile_and_what_they_had_afterwards():

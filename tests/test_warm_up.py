@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab import warm_up
-from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planners import PLANNERS, planner_named
+from cvqmpt_lab.search.result import Budget
 from experiments.suites.door_task import door_problem
 from experiments.suites.place_task import place_problem
 
@@ -17,7 +17,7 @@ ENOUGH = Budget(iterations=20_000)
 def test_every_planner_can_be_warmed_up_on_problems_it_serves(name):
     for problem in (place_problem(1003), door_problem(0)):
         method = planner_named(name)
-        if not method.unfit(problem):
+        if not method.incompatibility(problem):
             warm_up.warm_up(problem, method, "compiled")
 
 

@@ -12,14 +12,13 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
-from cvqmpt_lab.methods.loaded import EYES
-from cvqmpt_lab.planning.sight import Eyes
-from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY, Shapes
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE, RoadmapGraph, RoadmapShard, read_roadmap_shards
 from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.stages import EDGE_PART
 from cvqmpt_lab.vqmpt.weights import TRAINED_FOLDER, VQ_MPT, read_model, resolve_model, write_model
 
 NODES, EDGES = 256, 512  # drawn in each scene for training
@@ -40,7 +39,7 @@ class Examples(NamedTuple):
 
 
 def examples_of(
-    model: Eyes,
+    model: EdgeModel,
     cloud: np.ndarray,
     graph: RoadmapGraph,
     node_free: np.ndarray,
@@ -50,13 +49,13 @@ def examples_of(
     """The nodes and edges that the robot itself allows, or chosen rows of both, seen in a cloud (m, 3) [m]."""
     nodes, edges = chosen or (np.flatnonzero(graph.node_possible), np.flatnonzero(graph.edge_possible))
     motions = np.concatenate([np.stack([graph.nodes[nodes]] * 2, axis=1), graph.nodes[graph.edges[edges]]])
-    features, odds = model.judge(cloud, motions)
+    features, odds = model.log_odds(cloud, motions)
     free = np.concatenate([node_free[nodes], edge_free[edges]])
     return Examples(features, odds, free, np.arange(len(free)) >= len(nodes))
 
 
 def training_examples(
-    model: Eyes, shards: Iterable[RoadmapShard], rng: np.random.Generator
+    model: EdgeModel, shards: Iterable[RoadmapShard], rng: np.random.Generator
 ) -> Iterator[Examples]:
     """Some motions of every scene that trains, each scene in a cloud (m, 3) [m] of its own."""
     for shard in shards:
@@ -95,7 +94,7 @@ def train_edge_model(
 
     robot = robot_from_source(read_json_object(data / DESCRIPTION_FILE).get("recipe", {}).get("robot"))
     model = read_model(resolve_model(weights, VQ_MPT, robot_signature(robot)))
-    untrained = Eyes(SmallNetwork.untrained(robot.dof + 1), robot)
+    untrained = EdgeModel(SmallNetwork.untrained(robot.dof + 1), robot)
     parts = training_examples(untrained, read_roadmap_shards(data), np.random.default_rng(seed))
     examples = []
     for done, part in zip(range(1, scenes + 1), parts, strict=False):
@@ -105,6 +104,8 @@ def train_edge_model(
         raise InvalidInputError(f"{data} holds no scene to train on; generate more of them")
     free = np.concatenate([part.free for part in examples])
     arrays = fit_edge_model(np.concatenate([part.features for part in examples]), free, seed)
-    origin = {**model.metadata, EYES: {**metadata, "scenes": len(examples), "seed": seed}}
-    write_model(out / TRAINED_FOLDER, replace(model, parts={**model.parts, EYES: arrays}, metadata=origin))
+    origin = {**model.metadata, EDGE_PART: {**metadata, "scenes": len(examples), "seed": seed}}
+    write_model(
+        out / TRAINED_FOLDER, replace(model, parts={**model.parts, EDGE_PART: arrays}, metadata=origin)
+    )
     return len(free)

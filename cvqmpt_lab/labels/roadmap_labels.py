@@ -23,14 +23,11 @@ from cvqmpt_lab.labels.path_labels import (
     scene_shapes,
     unconstrained_space,
 )
-from cvqmpt_lab.methods.loaded import dictionary_roadmap
-from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.planning.code_graph import CodeEdges, nearest_rows
-from cvqmpt_lab.planning.roadmap import Roadmap
-from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import (
     ROADMAP_FILE,
@@ -38,6 +35,8 @@ from cvqmpt_lab.training.shards import (
     packed_shard,
     read_roadmap_shards,
 )
+from cvqmpt_lab.vqmpt.graph import links_of, nearest_rows
+from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
 LINKS = 20  # nodes that each is linked to
@@ -120,12 +119,12 @@ from the base are left out: {self.scenes - len(family)}.
 
 @lru_cache(maxsize=1)
 def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
-    return roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt", model), robot))
+    return roadmap_graph(robot, dictionary_roadmap(model, robot))
 
 
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     """Nodes and undirected edges of a roadmap, and which of them the robot itself allows."""
-    edges = CodeEdges.of(roadmap).edges
+    edges = links_of(roadmap).edges
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges)
     assert checked is not None  # nothing is near

@@ -12,11 +12,10 @@ import numpy as np
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
-from cvqmpt_lab.methods.method import Method
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
-from cvqmpt_lab.planning.result import Budget, JointPath, PlanStatus
+from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.tasks.phase_goals import following, phase_goals, prepare, world_before
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
@@ -174,7 +173,7 @@ class _Run:
         problem = step.world.problem(self.task, step.phase)
         earlier, seconds = self.attempts.get(step.number, ()), step.goal_seconds
         step.goal_seconds = 0.0
-        unfit = self.method.unfit(problem)
+        unfit = self.method.incompatibility(problem)
         fallback = f"{SUBSTITUTE}: {unfit}" if unfit else ""
         reason = step.reason
         if len(step.goals) == 0:
@@ -193,9 +192,15 @@ class _Run:
         self.runs += 1
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
-        # Each phase looks anew at a world that the one before has changed, even if an equal one was seen before.
+        # Each phase observes a world that the one before has changed, even if an equal one was seen before.
         return solve(
-            problem, method, self.budget, seed, backend=self.backend, clearance=self.clearance, new_scene=True
+            problem,
+            method,
+            self.budget,
+            seed,
+            backend=self.backend,
+            clearance=self.clearance,
+            use_cache=False,
         )
 
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:

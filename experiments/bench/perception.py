@@ -15,12 +15,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.edge_labels import Examples, examples_of
 from cvqmpt_lab.labels.path_labels import unconstrained_space
 from cvqmpt_lab.labels.roadmap_labels import roadmap_graph, verdicts
-from cvqmpt_lab.methods.loaded import POINTS_SEEN, WRONG_SCENE, dictionary_roadmap
-from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.sight import Eyes
-from cvqmpt_lab.planning.small_network import SmallNetwork
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
@@ -30,6 +25,7 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.calibration import Calibration, calibrate
 from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view
@@ -47,12 +43,14 @@ from cvqmpt_lab.sensing.virtual import (
     views_of,
 )
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
+from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.stages import OTHER_SCENE, POINTS, dictionary_roadmap
 from experiments.bench.measurement import CpuTimes, Measurement
 
 FIRST_SCENE = 3000  # numbers that no dataset and no suite uses
 KITCHEN = "kitchen of the tasks"
 BINS = 10  # of predicted probability
-AROUND = CameraSettings.like_training(POINTS_SEEN)
+AROUND = CameraSettings.like_training(POINTS)
 TWO_NOISY = replace(
     AROUND,
     cameras=cameras_on_sphere(
@@ -89,9 +87,9 @@ def bench_sight(scenes: int) -> Iterator[Measurement]:
     model = load_vq_mpt(robot)
     if "sight" not in model.parts:
         raise InvalidInputError("the model has no edge validity network; train one with cvqmpt train sight")
-    eyes = Eyes(SmallNetwork.of(model.parts["sight"]), robot)
-    graph = roadmap_graph(robot, dictionary_roadmap(Weights("vq_mpt"), robot))
-    other = camera_cloud(family_scene(*WRONG_SCENE), AROUND, np.random.default_rng(0))
+    edges = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot)
+    graph = roadmap_graph(robot, dictionary_roadmap("vq_mpt", robot))
+    other = camera_cloud(family_scene(*OTHER_SCENE), AROUND, np.random.default_rng(0))
     numbers = range(FIRST_SCENE, FIRST_SCENE + scenes)
     for family in (*FAMILIES, KITCHEN):
         seen: dict[str, list[Examples]] = {name: [] for name in (*CAMERAS, OTHER)}
@@ -102,13 +100,13 @@ def bench_sight(scenes: int) -> Iterator[Measurement]:
                 continue
             for name, settings in CAMERAS.items():
                 cloud = camera_cloud(scene, settings, np.random.default_rng(0))
-                seen[name].append(examples_of(eyes, cloud, graph, *checked))
-            seen[OTHER].append(examples_of(eyes, other, graph, *checked))
+                seen[name].append(examples_of(edges, cloud, graph, *checked))
+            seen[OTHER].append(examples_of(edges, other, graph, *checked))
         for name, examples in seen.items():
             yield from _quality(f"{family}, {name}", examples)
     motions = np.ascontiguousarray(np.stack([graph.nodes[end] for end in graph.edges.T], 1))
-    yield Measurement("P(free) of a motion", "us", lambda: eyes.judge(other, motions), len(motions))
-    yield Measurement("distance field of a cloud", "ms", lambda: eyes.look(other, anew=True))
+    yield Measurement("P(free) of a motion", "us", lambda: edges.log_odds(other, motions), len(motions))
+    yield Measurement("distance field of a cloud", "ms", lambda: edges.arrays(other, use_cache=False))
 
 
 def _quality(name: str, scenes: list[Examples]) -> Iterator[Measurement]:

@@ -11,20 +11,18 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.kernels.search import tree_growth as kernels
-from cvqmpt_lab.methods.loaded import seen_dictionary
-from cvqmpt_lab.methods.observation import Observer
-from cvqmpt_lab.methods.sequences import STEPS
-from cvqmpt_lab.methods.table import PLANNERS, planner_named
 from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
-from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.planning.proposal import Observation
-from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Budget, PlanStatus
-from cvqmpt_lab.planning.simplify import SimplifySettings, simplify
-from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import random_scene
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
+from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.sensing.observation import Observer
+from cvqmpt_lab.vqmpt.stages import STEPS, code_roadmap
 from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.measurement import CALIBRATION, CpuTimes, Figure, Measurement, measured
 from experiments.bench.perception import bench_calibration, bench_scan, bench_sight
@@ -113,12 +111,12 @@ def bench_networks(problems: int) -> Iterator[Measurement]:
     for problem in _posed(problems):
         stages, space = method.stages(problem), ConstrainedSpace(problem)
         assert stages.observe is not None and stages.update is not None and method.weights is not None
-        cloud = stages.observe(problem)
-        seen = seen_dictionary(method.weights, problem.robot, problem.attachments)
+        cloud = stages.observe(problem.scene)
+        seen = code_roadmap(method.weights, problem.robot, problem.attachments)
 
         def observe(seen=seen, cloud=cloud) -> None:
-            seen.eyes.look(cloud, anew=True)
-            seen.prices(cloud, anew=True)
+            seen.model.arrays(cloud, use_cache=False)
+            seen.edge_costs(cloud, use_cache=False)
 
         for _ in range(REPEATS):
             clock(f"distance field and edge costs, {len(cloud)} points", observe)
@@ -158,7 +156,7 @@ def _solved_in_worker(name: str, environments: list[int]) -> tuple[int, float, f
     if stages.observe is not None:
         stages = replace(stages, observe=observer)
         for problem in problems:
-            observer(problem)
+            observer(problem.scene)
     method = replace(method, build=lambda robot, weights: stages)
     warm_up(problems[0], method, "compiled")
     wall, cpu = time.perf_counter(), time.process_time()

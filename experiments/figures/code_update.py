@@ -19,17 +19,15 @@ from matplotlib.figure import Figure
 
 from cvqmpt_lab.constraints.task_space_region import Constraint
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.loaded import codebook_of
-from cvqmpt_lab.methods.sequences import STEPS
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planning.code_proposals import CodeProposal
-from cvqmpt_lab.planning.proposal import Observation
-from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
+from cvqmpt_lab.vqmpt.sampler import CodeProposal
+from cvqmpt_lab.vqmpt.stages import STEPS, codebook_of
 from experiments.figures.drawing import write_csv
 
 PLANNER = "cvq-mpt"
@@ -112,7 +110,7 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
     method = planner_named(PLANNER, model)
     stages = method.stages(problem)
     assert stages.observe is not None and method.weights is not None
-    cloud, query = stages.observe(problem), Query.of(ConstrainedSpace(problem), ENOUGH, planned)
+    cloud, query = stages.observe(problem.scene), Query.of(ConstrainedSpace(problem), ENOUGH, planned)
     proposal = stages.predict(query, Observation(cloud))
     assert isinstance(proposal, CodeProposal)
     codes = proposal.codes
@@ -121,7 +119,7 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
             f"problem {problem.name}: the model predicted {len(codes)} codes, {len(RANKS)} are compared; "
             "choose another problem or model"
         )
-    codebook, constraint = codebook_of(method.weights, problem.robot), problem.manifold
+    codebook, constraint = codebook_of(method.model or method.weights, problem.robot), problem.manifold
     z = codebook.vectors[codes]
     moved = LatentOptimizer(codebook, LatentSettings(steps=STEPS)).optimize(z, constraint, planned)
     noise = drawn.standard_normal((settings.samples, problem.robot.dof))

@@ -15,13 +15,6 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.constraints.named import Line, Plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.planning.direct_motion import direct_motion
-from cvqmpt_lab.planning.proposal import Observation, uniform
-from cvqmpt_lab.planning.query import Query
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.search import search
-from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
@@ -31,6 +24,10 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.query import Observation, Query, search, uniform
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 from experiments.suites.door_task import GRIP, handle_region
 from experiments.suites.family_task import blocked_pair
 from experiments.suites.place_task import UnsolvableProblem, carried_can

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.methods.table import PLANNERS, WITHOUT_WEIGHTS
+from cvqmpt_lab.planners import PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.scene.families import FAMILIES

@@ -11,12 +11,12 @@ from command_line import refused
 from cli.main import main
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.report import displacements
-from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json

@@ -7,7 +7,7 @@ import pytest
 from command_line import refused
 
 from cli.main import COMMANDS, main
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
+from cvqmpt_lab.planners import CONTROLS, PLANNERS
 
 ASK = """source "$1"; shift; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
 $(complete -p cvqmpt | sed 's/.*-F \\([^ ]*\\).*/\\1/') cvqmpt "${@: -1}" "${@: -2:1}"; printf '%s\\n' "${COMPREPLY[@]}"

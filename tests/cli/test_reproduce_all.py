@@ -8,7 +8,7 @@ from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from experiments import everything
 from experiments.everything import PROFILES, Amount, amounts

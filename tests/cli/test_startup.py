@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cvqmpt_lab.methods.table import PLANNERS
+from cvqmpt_lab.planners import PLANNERS
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = (

@@ -20,15 +20,15 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
 )
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.result import Budget, JointPath
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.result import Budget, JointPath
 from experiments.suites.door_task import (
     BAR,
     OPEN,

@@ -11,8 +11,8 @@ import pebble
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.results.row import FailReason
+from cvqmpt_lab.search.result import Budget
 from experiments import executors
 from experiments import run as runner
 from experiments.executors import Lost, dask_cluster, local_processes

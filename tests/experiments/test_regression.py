@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from cvqmpt_lab import planners as table
 from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods import table
-from cvqmpt_lab.methods.method import Method
-from cvqmpt_lab.planning.birrt import BiRRT
+from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import RunStore
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.vqmpt.latent_update import LatentObjective
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, made_with, measure

@@ -7,13 +7,13 @@ import pytest
 
 from cvqmpt_lab.certificate import Fault, FaultKind
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.method import Method
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning import sight
-from cvqmpt_lab.planning.proposal import Proposal
-from cvqmpt_lab.planning.result import Budget, PlanStatus, Timings
+from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.search.query import Proposal
+from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
+from cvqmpt_lab.vqmpt import edge_model as sight
 from experiments.rows import Run, failed_rows, outcome_of, result_row
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import UnsolvableProblem

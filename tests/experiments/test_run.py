@@ -13,11 +13,11 @@ import pebble
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
-from cvqmpt_lab.methods.table import CONTROLS, PLANNERS
-from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.vqmpt.weights import resolve_model, weights_digest
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments import run as runner

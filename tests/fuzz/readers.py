@@ -27,7 +27,6 @@ from training_data import write_dataset
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
@@ -37,6 +36,7 @@ from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.tasks.task import Task

@@ -8,12 +8,12 @@ import pytest
 
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget, PlanStatus
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
+from cvqmpt_lab.search.result import Budget, PlanStatus
 
 LONGEST = (
     10.0  # [s] of processor time of a plan, arrays of 10 000 obstacles, goals, shortening and proof included

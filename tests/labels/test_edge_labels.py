@@ -10,16 +10,14 @@ from cvqmpt_lab.labels.edge_labels import examples_of, train_edge_model
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.path_labels import unconstrained_space
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe, verdicts
-from cvqmpt_lab.methods.learned import roadmap_path
-from cvqmpt_lab.methods.method import Weights
-from cvqmpt_lab.methods.table import planner_named
-from cvqmpt_lab.planning.sight import Eyes
-from cvqmpt_lab.planning.small_network import SmallNetwork
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.training.shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
+from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.stages import roadmap_path
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_model
 from experiments.bench.perception import area, calibration_error
 from experiments.suites.place_task import place_problem
@@ -54,7 +52,7 @@ def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data
         model.parts["dictionary"]["quantizer.embedding.weight"],
         shipped.parts["dictionary"]["quantizer.embedding.weight"],
     )
-    edge_model, graph = Eyes(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
+    edge_model, graph = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
     scene = family_scene("shelves", 7)
     checked = verdicts(unconstrained_space(robot, scene), graph.nodes, graph.edges, graph.edge_possible)
     cloud = camera_cloud(scene, CameraSettings.like_training(4096), np.random.default_rng(0))
@@ -67,8 +65,8 @@ def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data
 def test_weights_without_an_edge_model_go_without_cloud_or_not_at_all(tmp_path):
     model = load_vq_mpt(panda())
     write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
-    assert roadmap_path()(panda(), Weights("vq_mpt", str(tmp_path / "m"))).observe is None
-    assert roadmap_path()(panda(), Weights("vq_mpt")).observe is not None
+    assert roadmap_path()(panda(), str(tmp_path / "m")).observe is None
+    assert roadmap_path()(panda(), "vq_mpt").observe is not None
     with pytest.raises(
         InvalidInputError, match="no sight, only dictionary; train some with cvqmpt train sight"
     ):

@@ -15,10 +15,10 @@ from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.labels import generation, path_labels
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.path_labels import PathRecipe, dataset_card
-from cvqmpt_lab.planning.near_shortest import NearShortestSettings, near_shortest
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.stage1 import LinkPositions
 

@@ -10,17 +10,17 @@ from torch.nn import functional as F
 from cvqmpt_lab.certificate import TOLERANCE, certify
 from cvqmpt_lab.constraints.between_states import evenly_spaced
 from cvqmpt_lab.constraints.report import bound_usage
-from cvqmpt_lab.methods.loaded import EYES
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget, JointPath
-from cvqmpt_lab.planning.small_network import SmallNetwork
-from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.vqmpt.checkpoint import as_modules
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, load_vq_mpt, waypoint_codes
+from cvqmpt_lab.vqmpt.edge_model import SmallNetwork
+from cvqmpt_lab.vqmpt.stages import EDGE_PART
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 ENOUGH = Budget(iterations=20_000)
@@ -143,9 +143,9 @@ def test_networks(trials):
         theirs, ours = dictionary.decode(torch.from_numpy(z)), CodeDecoder(stored).decode(z)
         np.testing.assert_allclose(ours.mean, theirs.mean.numpy(), rtol=0, atol=FAR)
         np.testing.assert_allclose(ours.covariance, theirs.covariance.numpy(), rtol=0, atol=FAR)
-        network = SmallNetwork.of(stored.parts[EYES])
+        network = SmallNetwork.of(stored.parts[EDGE_PART])
         inputs = rng.uniform(0.0, 3.0, (count, network.inputs))  # lengths [rad, m] and costs
-        outputs = small_network_in_torch(stored.parts[EYES], torch.from_numpy(inputs).float())
+        outputs = small_network_in_torch(stored.parts[EDGE_PART], torch.from_numpy(inputs).float())
         np.testing.assert_allclose(network(inputs), outputs.numpy(), rtol=FAR, atol=FAR)
 
 

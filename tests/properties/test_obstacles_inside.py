@@ -8,11 +8,11 @@ from properties.test_differential import simplified, tuning_problems
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.certificate import FaultKind, certify
-from cvqmpt_lab.planning.result import JointPath
-from cvqmpt_lab.planning.space import ConstrainedSpace
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
+from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.search.space import ConstrainedSpace
 
 CAN = Attachment("can", Cylinder(0.02, 0.1), pose((0.0, 0.0, 0.17)))
 CORNERS = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, 8).T

@@ -12,16 +12,16 @@ import pytest
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidProblemError
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTHING = Scene("nothing", ())

@@ -8,11 +8,11 @@ import pytest
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map

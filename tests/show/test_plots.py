@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.planning.result import JointPath
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show.curves import bound_plots, clearance_plot
 
 

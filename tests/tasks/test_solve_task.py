@@ -9,15 +9,14 @@ import pytest
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.method import Method
-from cvqmpt_lab.methods.table import PLANNERS
-from cvqmpt_lab.planning.birrt import BiRRT
-from cvqmpt_lab.planning.result import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.planners import PLANNERS, Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import split_problem
 from cvqmpt_lab.robot.loading import FINGER_OPENING
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve_task import solve_task
 from experiments.rows import Run, phase_rows
 from experiments.suites.door_task import OPEN
@@ -132,12 +131,18 @@ def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
     problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
     for name in ("ompl-projected", "atlas-rrt", "tb-rrt"):
         method = PLANNERS[name]
-        assert method.unfit(problems["carry"]) == method.unfit(problems["open-door"]) == ""
-        assert "needs a constraint" in method.unfit(problems["reach-can"])
+        assert (
+            method.incompatibility(problems["carry"]) == method.incompatibility(problems["open-door"]) == ""
+        )
+        assert "needs a constraint" in method.incompatibility(problems["reach-can"])
     for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
-        assert PLANNERS[name].unfit(problems["carry"]) == PLANNERS[name].unfit(problems["reach-can"]) == ""
-        assert "weights are for" in PLANNERS[name].unfit(problems["open-door"])
-    assert all(PLANNERS["birrt"].unfit(problem) == "" for problem in problems.values())
+        assert (
+            PLANNERS[name].incompatibility(problems["carry"])
+            == PLANNERS[name].incompatibility(problems["reach-can"])
+            == ""
+        )
+        assert "weights are for" in PLANNERS[name].incompatibility(problems["open-door"])
+    assert all(PLANNERS["birrt"].incompatibility(problem) == "" for problem in problems.values())
 
 
 def test_rows_name_their_phases(rows):

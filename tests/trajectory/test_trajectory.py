@@ -14,11 +14,11 @@ from cli.main import main
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget, JointPath
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory

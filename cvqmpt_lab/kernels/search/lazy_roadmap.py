@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.kernels.search.heap import drop_smallest, push
 from cvqmpt_lab.kernels.search.motion import bisect_motion, distance
-from cvqmpt_lab.kernels.search.sight import Sight, surprise
+from cvqmpt_lab.kernels.search.sight import EdgeArrays, surprise
 from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
 
 UNKNOWN, FREE, BLOCKED = range(3)
@@ -219,7 +219,7 @@ def _join_nodes(space, roadmap, check, path, length, ends, states):
 def search(
     space: Space,
     roadmap: Roadmap,
-    sight: Sight,
+    sight: EdgeArrays,
     most_searches: int,
     drift: float,
     check: bool,

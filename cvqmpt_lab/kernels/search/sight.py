@@ -15,7 +15,7 @@ REACH = 0.25  # [m] distances to the cloud are cut off here: more than the large
 STEPS = 255.0  # of a stored byte
 
 
-class Sight(NamedTuple):
+class EdgeArrays(NamedTuple):
     """Distances to a cloud on a grid, a robot's balls, and the network that reads their clearances."""
 
     origin: Annotated[np.ndarray, "3"]
@@ -24,7 +24,7 @@ class Sight(NamedTuple):
     """Edge of a cell [m]."""
     distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
     """From the middle of each cell to the nearest point of the cloud, in REACH / 255."""
-    ball: Annotated[np.ndarray, "balls 4"]
+    sphere: Annotated[np.ndarray, "balls 4"]
     """Centre in its link's frame, and radius [m]."""
     row: Annotated[np.ndarray, "int64 balls"]
     """Pose row of each ball's link."""
@@ -87,9 +87,9 @@ def _look(kinematics, sight, q):
     """Lower the smallest clearances seen so far to those of configuration q (n,)."""
     r, t, shape = sight.rotation, sight.translation, sight.distance.shape
     forward_kinematics(kinematics, q, r, t)
-    for k in range(sight.ball.shape[0]):
+    for k in range(sight.sphere.shape[0]):
         link = sight.row[k]
-        x, y, z, radius = sight.ball[k, 0], sight.ball[k, 1], sight.ball[k, 2], sight.ball[k, 3]
+        x, y, z, radius = sight.sphere[k, 0], sight.sphere[k, 1], sight.sphere[k, 2], sight.sphere[k, 3]
         wx = r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0] - sight.origin[0]
         wy = r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1] - sight.origin[1]
         wz = r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2] - sight.origin[2]
@@ -134,7 +134,7 @@ def surprise(kinematics, sight, a, b):
 @entry
 def judge_motions(
     kinematics: Kinematics,
-    sight: Sight,
+    sight: EdgeArrays,
     motions: Annotated[np.ndarray, "count 2 n"],
     features: Annotated[np.ndarray, "count inputs"],
     odds: Annotated[np.ndarray, "count"],
@@ -150,7 +150,7 @@ def judge_motions(
 @entry
 def ball_cells(
     kinematics: Kinematics,
-    sight: Sight,
+    sight: EdgeArrays,
     configurations: Annotated[np.ndarray, "count n"],
     cells: Annotated[np.ndarray, "int32 count balls"],
 ):
@@ -158,12 +158,12 @@ def ball_cells(
     shape = sight.distance.shape
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], sight.rotation, sight.translation)
-        for k in range(sight.ball.shape[0]):
+        for k in range(sight.sphere.shape[0]):
             place, inside = 0, True
             for a in range(3):
                 centre = sight.translation[sight.row[k], a] - sight.origin[a]
                 for b in range(3):
-                    centre += sight.rotation[sight.row[k], a, b] * sight.ball[k, b]
+                    centre += sight.rotation[sight.row[k], a, b] * sight.sphere[k, b]
                 at = int(np.floor(centre / sight.cell))
                 inside = inside and 0 <= at < shape[a]
                 place = place * shape[a] + at
@@ -172,7 +172,7 @@ def ball_cells(
 
 @entry
 def look_at_cells(
-    sight: Sight,
+    sight: EdgeArrays,
     distance: Annotated[np.ndarray, "uint8 flat"],
     cells: Annotated[np.ndarray, "int32 count balls"],
     clearance: Annotated[np.ndarray, "count n"],
@@ -184,7 +184,7 @@ def look_at_cells(
         for k in range(cells.shape[1]):
             if cells[i, k] >= 0:
                 link = sight.row[k] - 1
-                own = distance[cells[i, k]] * (REACH / STEPS) - sight.ball[k, 3]
+                own = distance[cells[i, k]] * (REACH / STEPS) - sight.sphere[k, 3]
                 clearance[i, link] = min(clearance[i, link], own)
 
 

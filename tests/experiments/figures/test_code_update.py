@@ -11,9 +11,8 @@ from small_models import random_checkpoint
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.methods.loaded import codebook_of
-from cvqmpt_lab.methods.method import Weights
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
+from cvqmpt_lab.vqmpt.stages import codebook_of
 from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import scene_pictures
 from experiments.figures.code_update import (
@@ -112,7 +111,7 @@ def test_draws_have_the_mean_and_spread_of_what_is_sampled(update):
 
 
 def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem, update):
-    codebook = codebook_of(Weights("vq_mpt"), problem.robot)
+    codebook = codebook_of("vq_mpt", problem.robot)
     means, covariances = codebook.gaussians(codebook.vectors[update.codes])
     np.testing.assert_array_equal(update.before.means, means)
     np.testing.assert_allclose(

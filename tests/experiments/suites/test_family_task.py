@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.kernels.search.motion import motion_free
-from cvqmpt_lab.methods.table import WITHOUT_WEIGHTS
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planning.result import Budget
-from cvqmpt_lab.planning.space import ConstrainedSpace
+from cvqmpt_lab.planners import WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import check_problem
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.family_task import ROBOTS, family_problem
 from experiments.suites.suite import suite_named
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.methods.table import planner_named
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.result import Budget
+from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.search.result import Budget
 from experiments.suites.place_task import (
     ENVIRONMENTS,
     GOALS,

@@ -1,1 +1,0 @@
-"""Methods by name: what to observe, predict, update and search with."""

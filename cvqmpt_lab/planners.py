@@ -1,0 +1,181 @@
+"""The planners by name: columns of the paper's tables, ours, and controls that isolate one part each.
+
+A planner is four stages (see `search.query`): observe a scene, predict where to sample, update that towards the
+constraint, search. Its stages are made, and its weights loaded, when they are first asked for.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
+from cvqmpt_lab.search.query import Stages
+from cvqmpt_lab.sensing.observation import Observer
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A planner by name."""
+
+    name: str
+    build: Callable[[Robot, str], Stages]  # of a robot and a model, see `stages`
+    weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
+    needs_constraint: bool = False
+    model: str | None = None  # name or folder of its weights; None for the shipped ones
+
+    @staticmethod
+    def simple(name: str, **stages: Any) -> "Method":
+        """A planner without weights, its stages given as they are."""
+        fixed = Stages(**stages)
+        return Method(name, lambda robot, model: fixed)
+
+    def with_model(self, model: str) -> "Method":
+        """The same on other weights; InvalidInputError when it uses none."""
+        if self.weights is None:
+            raise InvalidInputError(f"{self.name} uses no weights: leave --model {model} out")
+        return replace(self, model=model)
+
+    def with_cloud(self, points: np.ndarray) -> "Method":
+        """The same, given measured points (p, 3) [m, robot base frame] instead of observing the scene.
+
+        Raises
+        ------
+        InvalidInputError
+            Also when its stages are asked for, if it observes nothing.
+        """
+
+        def build(robot: Robot, model: str) -> Stages:
+            stages = self.build(robot, model)
+            if not isinstance(stages.observe, Observer):
+                raise InvalidInputError(f"{self.name} does not look at a cloud: leave the cloud out")
+            cloud = stages.observe.of_points(points)
+            return replace(stages, observe=lambda scene: cloud)
+
+        return replace(self, build=build)
+
+    def incompatibility(self, problem: PlanningProblem) -> str:
+        """Why the planner cannot serve a problem, or ""."""
+        if self.needs_constraint and not problem.constraint:
+            return "it needs a constraint, and the problem has none"
+        if self.weights is None:
+            return ""
+        from cvqmpt_lab.vqmpt.codebook import robot_signature  # reads weights
+        from cvqmpt_lab.vqmpt.weights import incompatibility
+
+        return incompatibility(self.model or self.weights, self.weights, robot_signature(problem.robot))
+
+    def stages(self, problem: PlanningProblem) -> Stages:
+        """What it does with the robot of a problem that it can serve."""
+        return self.build(problem.robot, self.model or self.weights or "")
+
+
+def _ompl(name: str, manifold: str) -> Method:
+    def build(robot: Robot, model: str) -> Stages:
+        from cvqmpt_lab.search.ompl_planners import OmplSearch  # ompl takes 0.3 s to import
+
+        return Stages(search=OmplSearch(manifold))
+
+    return Method(name, build, needs_constraint=True)
+
+
+def _learned(planner: str, builder: str, weights: str = "vq_mpt", **options: Any) -> Method:
+    """A planner whose stages are made by a function of `vqmpt.stages`."""
+
+    def build(robot: Robot, model: str) -> Stages:
+        from cvqmpt_lab.vqmpt import stages  # reads weights
+
+        return getattr(stages, builder)(robot, model, **options)
+
+    return Method(planner, build, weights)
+
+
+def _sequences(name: str, **options: Any) -> Method:
+    return _learned(name, "sequences", name=name, **options)
+
+
+def _straight_line(name: str, uniform_share: float) -> Method:
+    return Method.simple(name, predict=StraightLine(AroundPath(name, uniform_share=uniform_share)))
+
+
+def _by_name(*methods: Method) -> dict[str, Method]:
+    return {method.name: method for method in methods}
+
+
+PLANNERS = _by_name(
+    Method.simple("birrt"),
+    _ompl("ompl-projected", "projected"),
+    _ompl("atlas-rrt", "atlas"),
+    _ompl("tb-rrt", "tangent-bundle"),
+    _learned("mpnet", "mpnet", weights="mpnet"),
+    _sequences("cvq-mpt"),
+    _sequences("opt-cvq-mpt", project_first=True),
+    _learned("roadmap-cvq", "roadmap_path"),
+)
+
+CONTROLS = _by_name(
+    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide").mixture)),
+    _straight_line("straight-line", 0.15),
+    _straight_line("straight-line-only", 0.0),
+    _learned("roadmap-wrong-cloud", "roadmap_path", cloud="other scene"),
+    _learned("roadmap-no-cloud", "roadmap_path", cloud="none"),
+    _learned("roadmap-true-edges", "roadmap_path", oracle=True),
+    Method.simple("solved-paths", predict=SolvedPaths(AroundPath("solved-paths", std=0.25))),
+    _learned("true-codes", "true_codes"),
+    _sequences("cvq-wrong-cloud", cloud="other scene"),
+    _sequences("cvq-no-cloud", cloud="none"),
+    _sequences("cvq-no-uniform", uniform_share=0.0),
+    _sequences("opt-algorithm-2", update=5),
+)
+
+PUBLISHED = _by_name(_learned("cvq-as-published", "published"))
+"""On imported weights of the authors' architecture alone."""
+
+REMOVED = {
+    "cvq-route": "roadmap-cvq",
+    "opt-cvq-route": "roadmap-cvq",
+    "cvq-cheapest": "cvq-mpt",
+    "cvq-constraint-trained": "opt-cvq-mpt",
+    "route-constraint-trained": "roadmap-cvq",
+    "route-wrong-cloud": "roadmap-wrong-cloud",
+    "route-no-cloud": "roadmap-no-cloud",
+    "route-cheapest": "roadmap-cvq",
+    "roadmap-blind": "roadmap-no-cloud",
+    "roadmap-sampler": "roadmap-cvq",
+    "roadmap-update": "opt-algorithm-2",
+}
+"""Planners and controls that are gone, and what replaces each."""
+
+WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None)
+
+
+def planner_named(name: str, model: str | None = None) -> Method:
+    """The planner or control of that name, on the weights of a name or folder, or the shipped ones.
+
+    Raises
+    ------
+    UnknownChoiceError
+        Listing the names.
+    InvalidInputError
+        When the planner was removed, or a model is given to one without weights.
+    """
+    found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
+    if name in REMOVED:
+        raise InvalidInputError(f"planner {name} was removed; use {REMOVED[name]}")
+    if found is None:
+        raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED])
+    return found if model is None else found.with_model(model)
+
+
+def require_fit(method: Method, problem: PlanningProblem) -> None:
+    """Refuse a problem that a planner cannot serve: InvalidInputError says why, and which planners can."""
+    reason = method.incompatibility(problem)
+    if reason:
+        others = [
+            name for name, one in PLANNERS.items() if one.weights is None and not one.incompatibility(problem)
+        ]
+        raise InvalidInputError(f"{method.name}: {reason}; planners that can: {', '.join(others)}")

@@ -1,1 +1,0 @@
-"""Searching a path on the constraint manifold: queries, proposals, searches, shortening."""

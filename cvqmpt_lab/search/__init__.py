@@ -1,0 +1,1 @@
+"""Search on the constraint manifold: trees, roadmaps, shortcuts, goals."""

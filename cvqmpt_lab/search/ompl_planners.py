@@ -1,0 +1,229 @@
+"""The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
+
+This file is the door to ompl. Projection, residual, Jacobian and state checks are the same kernels
+that `birrt` uses; parameters are those of the published experiment code.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from cvqmpt_lab.distributions import SamplingDistribution
+from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS, NEWTON_ITERATIONS
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+ou.setLogLevel(ou.LogLevel.LOG_NONE)
+
+DELTA = 0.05  # manifold step [rad]
+EXPLORATION, EPSILON, RHO, ALPHA = 0.8, 0.1, 0.25, math.pi / 8
+MAX_CHARTS, BACKOFF = 200, 0.75
+
+
+class _Manifold(ob.Constraint):
+    """The space's constraint as OMPL asks for it; projection is the whole Newton loop of the kernels."""
+
+    def __init__(self, space: ConstrainedSpace) -> None:
+        super().__init__(space.robot.dof, space.dim, space.settings.tolerance)
+        self._space = space
+
+    def function(self, x: np.ndarray, out: np.ndarray) -> None:
+        """F(x)."""
+        out[:] = self._space.residual_and_jacobian(np.array(x))[0]
+
+    def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
+        """dF/dx at full rank: tangent spaces need rows also inside the bounds. Counted as a Newton iteration."""
+        self._space.arrays.counters[NEWTON_ITERATIONS] += 1
+        out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
+
+    def project(self, x: np.ndarray) -> bool:
+        """Move x onto the manifold."""
+        q = np.array(x)
+        if not self._space.project(q):
+            return False
+        x[:] = q
+        return True
+
+
+@dataclass(frozen=True)
+class OmplSearch:
+    """RRTConnect on one of OMPL's constrained state spaces.
+
+    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `search` is not used: the result
+    says which one was.
+    """
+
+    manifold: str  # "projected", "atlas" or "tangent-bundle"
+
+    def search(
+        self,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        distribution: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> PlanResult:
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
+        began = time.perf_counter()
+        before = space.counters
+        ou.RNG.setSeed(int(rng.integers(1, 2**31)))
+        run = _Run(self.manifold, space, start, goals)
+        status, path = run.run(budget, began)
+        return PlanResult(
+            status=status,
+            path=path,
+            seconds=time.perf_counter() - began,
+            counters=space.counters_since(before),
+            vertices=run.vertices,
+            sampler="atlas-charts" if self.manifold != "projected" else "uniform",
+        )
+
+
+class _Run:
+    """The OMPL objects of one planning run."""
+
+    def __init__(self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray) -> None:
+        self._space = space
+        self._css = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
+        self._css.setDelta(DELTA)
+        information = (
+            ob.TangentBundleSpaceInformation
+            if manifold == "tangent-bundle"
+            else ob.ConstrainedSpaceInformation
+        )
+        self._information = information(self._css)
+        self._information.setStateValidityChecker(_validity(space))
+        self._information.setup()
+        self._problem = ob.ProblemDefinition(self._information)
+        self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
+        self._given = self._css.allocState()  # one for all: its numbers are freed neither by Python nor by us
+        self._problem.addStartState(self._state(self._inside(start), manifold))
+        goal = ob.GoalStates(self._information)
+        for q in goals:
+            goal.addState(self._state(self._inside(q), manifold))
+        self._problem.setGoal(goal)
+        self._planner = og.RRTConnect(self._information)
+        self._planner.setProblemDefinition(self._problem)
+        self._planner.setup()
+        self.vertices = 0
+
+    def _inside(self, q: np.ndarray) -> np.ndarray:
+        """The configuration itself, or its projection when it stands between the inset and the true bounds.
+
+        OMPL refuses a start or goal off its manifold; the little way there is part of the path.
+        """
+        moved = np.array(q)
+        residual, _ = self._space.residual_and_jacobian(moved)
+        if np.linalg.norm(residual) <= self._space.settings.tolerance or not self._space.project(moved):
+            return q
+        self._moved[moved.tobytes()] = q
+        return moved
+
+    def _state(self, q: np.ndarray, manifold: str):
+        """An OMPL state at q, to be copied before the next is made; atlas and tangent bundle anchor a chart there."""
+        self._given.copy([float(x) for x in q])
+        if manifold != "projected":
+            self._css.anchorChart(self._given)
+        return self._given
+
+    def _read(self, state) -> np.ndarray:
+        return np.array([state[i] for i in range(self._space.robot.dof)])
+
+    def run(self, budget: Budget, began: float) -> tuple[PlanStatus, JointPath | None]:
+        """Search until a path passes the fine check or the budget is spent; grazing paths are searched anew."""
+        steps = 0
+
+        def spent() -> bool:
+            nonlocal steps
+            steps += 1
+            late = budget.seconds is not None and time.perf_counter() - began >= budget.seconds
+            late = late or (budget.iterations is not None and steps > budget.iterations)
+            self._space.arrays.counters[ITERATIONS] += not late
+            return late
+
+        while True:
+            self._planner.solve(ob.PlannerTerminationCondition(spent))
+            self.vertices += self._count_vertices()
+            if not self._problem.hasExactSolution():
+                break
+            path = self._dense_path()
+            if path is not None:
+                return PlanStatus.SOLVED, path
+            self._problem.clearSolutionPaths()
+            self._planner.clear()
+        late = budget.iterations is None or steps <= budget.iterations
+        return PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT, None
+
+    def _count_vertices(self) -> int:
+        data = ob.PlannerData(self._information)
+        self._planner.getPlannerData(data)
+        return data.numVertices()
+
+    def _dense_path(self) -> JointPath | None:
+        """The solution walked along the manifold at DELTA spacing, every state projected."""
+        solution = self._problem.getSolutionPath()
+        solution.interpolate()
+        states = [self._read(solution.getState(i)) for i in range(solution.getStateCount())]
+        if not all(self._space.project(q) for q in states[1:-1]):
+            return None
+        first, last = (self._moved.get(q.tobytes()) for q in (states[0], states[-1]))
+        whole = [q for q in (first, *states, last) if q is not None]
+        return self._space.checked_path(np.array(whole))[0]
+
+
+def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
+    """Whether a state is inside the limits (OMPL's geodesics do not check them) and free of collision.
+
+    OMPL's objects hold this function and no garbage collector sees that: it must not hold them in return.
+    """
+    lower, upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
+    q = np.empty(space.robot.dof)
+
+    def valid(state) -> bool:
+        for i in range(len(q)):
+            q[i] = state[i]
+        return bool((q >= lower).all() and (q <= upper).all() and space.valid(q))
+
+    return valid
+
+
+def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:
+    joints = ob.RealVectorStateSpace(space.robot.dof)
+    bounds = ob.RealVectorBounds(space.robot.dof)
+    for i, (low, high) in enumerate(zip(space.robot.lower, space.robot.upper, strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    joints.setBounds(bounds)
+    return joints
+
+
+def _with_atlas_parameters(css):
+    css.setExploration(EXPLORATION)
+    css.setEpsilon(EPSILON)
+    css.setRho(RHO)
+    css.setAlpha(ALPHA)
+    css.setMaxChartsPerExtension(MAX_CHARTS)
+    css.setBackoff(BACKOFF)
+    return css
+
+
+def _atlas(joints: ob.RealVectorStateSpace, manifold: _Manifold):
+    css = _with_atlas_parameters(ob.AtlasStateSpace(joints, manifold))
+    css.setSeparated(True)
+    return css
+
+
+STATE_SPACES = {
+    "projected": ob.ProjectedStateSpace,
+    "atlas": _atlas,
+    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(
+        ob.TangentBundleStateSpace(joints, manifold)
+    ),
+}

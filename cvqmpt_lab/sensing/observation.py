@@ -1,0 +1,106 @@
+"""The point cloud that a planner with a network is given of a scene."""
+
+import json
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.disk_cache import kept_arrays, sources_digest
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.cells import seen_points
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Measured
+from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
+
+FEWEST = 2
+"""Points that networks need."""
+BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])
+"""(2, 3) [m] what networks see of nothing: two points under the base, where no arm reaches that stands on it."""
+
+
+class Observer:
+    """Gives the cloud of a scene, always the same one.
+
+    Virtual cameras look at a scene made of shapes. Of a scene that holds clouds or occupancy maps these are used,
+    with what the cameras see of its other shapes. Casting rays takes half a second, a camera's cloud nothing: planners
+    look before their clock starts, scenes seen lately are remembered, and rendered clouds kept in the user's cache.
+    """
+
+    def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
+        """Look with settings (like training's clouds by default); keep `scenes` clouds."""
+        if scenes < 1:
+            raise InvalidInputError(f"scenes kept by an observer: {scenes}; give at least 1")
+        self.settings = CameraSettings.like_training() if settings is None else settings
+        self.seed, self._kept = seed, scenes
+        self._clouds: OrderedDict[Scene, np.ndarray] = OrderedDict()
+
+    def __call__(self, scene: Scene) -> np.ndarray:
+        """The cloud (m, 3) [m] of a scene, not to be written to."""
+        if scene in self._clouds:
+            self._clouds.move_to_end(scene)
+        else:
+            self._clouds[scene] = self._look(scene)
+            if len(self._clouds) > self._kept:
+                self._clouds.popitem(last=False)
+        return self._clouds[scene]
+
+    def of_points(self, points: np.ndarray) -> np.ndarray:
+        """The cloud (m, 3) that networks are given of measured points (p, 3) [m, robot base frame].
+
+        Raises
+        ------
+        InvalidInputError
+            When none of the points is where training clouds are.
+        """
+        crop = self.settings.crop
+        near = points[crop.contains(points)]
+        if len(near) == 0:
+            raise InvalidInputError(
+                f"none of the cloud's {len(points)} points is in the region that networks know, {crop}: give it in "
+                "metres, in the frame of the robot's base"
+            )
+        measured = replace(self.settings, noise=0.0)  # it has its own
+        cloud = thinned(near, measured, np.random.default_rng(self.seed))
+        cloud.setflags(write=False)
+        return cloud
+
+    def _look(self, scene: Scene) -> np.ndarray:
+        clouds = [item for item in scene.objects if isinstance(item.shape, Measured)]
+        if clouds:
+            rest = scene.without(*(item.name for item in clouds))
+            seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
+            return self.of_points(np.concatenate([_world_points(clouds), seen]))
+        cloud = kept_arrays("clouds", self._made_of(scene), lambda: {"cloud": self._rendered(scene)})["cloud"]
+        if len(cloud) < FEWEST:
+            cloud = np.concatenate([cloud, BELOW])
+        cloud.setflags(write=False)
+        return cloud
+
+    def _rendered(self, scene: Scene) -> np.ndarray:
+        return camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
+
+    def _made_of(self, scene: Scene) -> bytes:
+        cameras = [(each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras]
+        settings = replace(self.settings, cameras=())
+        return f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
+
+
+@cache
+def _sources() -> str:
+    """What clouds are rendered by."""
+    library = Path(__file__).parents[1]
+    return f"{sources_digest(library / 'sensing', library / 'scene')} {np.__version__}"
+
+
+def _world_points(clouds: Sequence[SceneObject]) -> np.ndarray:
+    """Points (p, 3) [m] of objects that are clouds or maps, in the world; of maps the outermost cells."""
+    parts = []
+    for item in clouds:
+        assert isinstance(item.shape, Measured)
+        parts.append(seen_points(item.shape) @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3])
+    return np.concatenate(parts)

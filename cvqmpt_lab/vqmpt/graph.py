@@ -1,0 +1,109 @@
+"""The dictionary as a roadmap with edge costs: one configuration a code, edges to its neighbours, and -log P(free) of
+every edge, from a cloud, by the edge validity model.
+
+Where the robot's spheres are along all edges is worked out once, so that a new cloud costs milliseconds.
+"""
+
+from collections import OrderedDict
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.kernels.search.sight import ball_cells, join_looks, look_at_cells
+from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
+
+
+class Links(NamedTuple):
+    """Undirected edges of a roadmap, and the arcs that lead along them both ways."""
+
+    edges: np.ndarray  # (E, 2) int32, the smaller node first
+    first: np.ndarray  # (N + 1,) int32, where each node's arcs begin
+    neighbour: np.ndarray  # (2 E,) int32
+    edge: np.ndarray  # (2 E,) int32
+
+
+def links_of(roadmap: Roadmap) -> Links:
+    """Every edge of a roadmap once."""
+    count, k = roadmap.neighbours.shape
+    pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
+    edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
+    arcs = np.concatenate([edges, edges[:, ::-1]])
+    order = np.lexsort((arcs[:, 1], arcs[:, 0]))
+    first = np.searchsorted(arcs[order, 0], np.arange(count + 1)).astype(np.int32)
+    return Links(edges, first, arcs[order, 1].copy(), (order % len(edges)).astype(np.int32))
+
+
+def _states_along(nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (s, n): the nodes, then those between the ends of each edge, SPACING apart; where each edge's begin."""
+    ends = nodes[edges]
+    pieces = np.maximum(np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / SPACING).astype(int), 1)
+    first = np.cumsum([len(nodes), *(pieces - 1)]).astype(np.int32)
+    between = np.repeat(np.arange(len(ends)), pieces - 1)
+    step = np.arange(len(between)) - (first[between] - len(nodes)) + 1
+    share = (step / pieces[between])[:, None]
+    inner = ends[between, 0] + share * (ends[between, 1] - ends[between, 0])
+    return np.concatenate([nodes, inner]), first
+
+
+class CodeRoadmap:
+    """The dictionary's roadmap for one robot and what it carries; remembers the edge costs of the latest clouds."""
+
+    def __init__(self, roadmap: Roadmap, model: EdgeModel, bare: "CodeRoadmap | None" = None) -> None:
+        """Place the model's spheres along all edges.
+
+        bare: the same roadmap for the same robot with an empty hand, whose spheres are placed already.
+        """
+        self.roadmap, self.model = roadmap, model
+        self._costs: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        if bare is None:
+            self.links = links_of(roadmap)
+            self._states, self._first = _states_along(roadmap.nodes, self.links.edges)
+            self._cells = self._placed(0)
+        else:
+            known = len(bare.model.empty.sphere)
+            assert bare.roadmap is roadmap
+            assert np.array_equal(bare.model.empty.sphere, model.empty.sphere[:known])
+            self.links, self._states, self._first = bare.links, bare._states, bare._first
+            self._cells = np.concatenate([bare._cells, self._placed(known)], axis=1)
+        ends = roadmap.nodes[self.links.edges]
+        self._length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+    def _placed(self, first: int) -> np.ndarray:
+        """Cells (s, spheres) that the spheres from `first` on lie in."""
+        empty = self.model.empty
+        arrays = empty._replace(sphere=empty.sphere[first:], row=empty.row[first:])
+        cells = np.empty((len(self._states), len(arrays.sphere)), dtype=np.int32)
+        ball_cells(self.model.robot.kinematics, arrays, self._states, cells)
+        return cells
+
+    def features(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
+        """Inputs (E, n + 1) of the edge validity model for all edges."""
+        arrays, n = self.model.arrays(cloud, use_cache), self.model.robot.dof
+        clearance = np.empty((len(self._cells), n))
+        look_at_cells(arrays, arrays.distance.reshape(-1), self._cells, clearance)
+        features = np.empty((len(self._length), n + 1))
+        join_looks(clearance, self._first, self.links.edges, self._length, features)
+        return features
+
+    def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
+        """-log P(free) (E,) of all edges, in a cloud (m, 3) [m, robot base frame]."""
+        key = cloud.tobytes()
+        if not use_cache or key not in self._costs:
+            self._costs[key] = np.logaddexp(0.0, -self.model.network(self.features(cloud, use_cache)))
+            if len(self._costs) > CLOUDS:
+                self._costs.popitem(last=False)
+        self._costs.move_to_end(key)
+        return self._costs[key]
+
+    def link_costs(self, cloud: np.ndarray, ends: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """-log P(free) (e, k) of the motions between ends (e, n) and the nodes near (e, k) to each."""
+        pairs = np.broadcast_arrays(ends[:, None], self.roadmap.nodes[near])
+        motions = np.stack(pairs, axis=2).reshape(-1, 2, ends.shape[1])
+        return np.logaddexp(0.0, -self.model.log_odds(cloud, motions)[1]).reshape(near.shape)
+
+
+def nearest_rows(nodes: np.ndarray, ends: np.ndarray, count: int) -> np.ndarray:
+    """Rows (e, count) int32 of the nodes (N, n) nearest to each of ends (e, n), in no order."""
+    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
+    return np.argpartition(squares, count, axis=1)[:, :count].astype(np.int32)

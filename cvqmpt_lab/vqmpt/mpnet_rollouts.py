@@ -1,0 +1,181 @@
+"""MPNet with projection, the learned baseline of the paper: a network proposes the path state by state.
+
+Two sides grow in turn, from the start and from a goal, each towards the other's last state: the network proposes,
+the proposal is clipped, projected and kept if free. When a direct motion joins the sides, every two
+neighbouring states without a direct motion between them are joined by constrained tree growth.
+
+What differs from the published code as it is known: proposals to one state are bounded, not repeated for ever;
+connections are projected motions, not straight lines checked for collision alone; the tree growth is the
+project's own; the cloud's encoding is paid for.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.query import Observation, Proposal, Query
+from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
+from cvqmpt_lab.search.space import direct_motion
+from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
+from cvqmpt_lab.vqmpt.weights import StoredModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class MPNetSettings:
+    """How rollouts are made."""
+
+    rollouts: int = 10  # tried before giving up; goals take turns, the nearest first
+    predictions: int = 10  # states of one rollout
+    attempts: int = 32  # proposals tested for one state before its rollout is given up
+    dropout: bool = True
+    """Leave dropout on, as published; without it every attempt is the same, so there is one."""
+    bridge: bool = True
+    """Join the sides by tree growth if they have not met after all predictions; otherwise give the rollout up."""
+    share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
+
+    def __post_init__(self) -> None:
+        for name in ("rollouts", "predictions", "attempts"):
+            if getattr(self, name) < 1:
+                raise InvalidInputError(f"{name} of MPNet is {getattr(self, name)}; give at least 1")
+        if not 0.0 < self.share <= 1.0:
+            raise InvalidInputError(f"share of MPNet is {self.share}; give more than 0 and at most 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """What the network proposed from start to goal."""
+
+    states: np.ndarray  # (k, n) [rad or m]
+    meeting: int  # row after which the other side's states come
+    joint: JointPath | None  # the motion between the two states that meet, if it is known
+
+
+class MPNetRollouts:
+    """A trained MPNet as a proposer of whole paths; see the module."""
+
+    def __init__(self, model: StoredModel, settings: MPNetSettings | None = None) -> None:
+        """Take a snapshot of the weights."""
+        self.settings = MPNetSettings() if settings is None else settings
+        self.network = MPNetNetwork(model)
+
+    def __call__(self, query: Query, observation: Observation) -> Proposal:
+        """Roll out until a path is found, the budget is spent or all rollouts have failed.
+
+        An iteration is one proposal tested or one sample used.
+
+        Raises
+        ------
+        InvalidInputError
+            When the cloud is none.
+        """
+        assert observation.cloud is not None
+        began = query.deadline.seconds
+        code = self.network.encode(self.network.draw_points(observation.cloud, query.rng))
+        run = _Run(self.network, self.settings, query, code, query.deadline.seconds - began)
+        nearest = query.nearest_goals(len(query.goals))
+        path, failure, detail = None, PlanStatus.ITERATION_LIMIT, ""
+        for turn in range(self.settings.rollouts):
+            path = run.attempt(query.start, nearest[turn % len(nearest)])
+            spent = query.deadline.spent()
+            if path is not None or spent is not None:
+                failure = spent or failure
+                break
+        else:
+            detail = f"all {self.settings.rollouts} rollouts failed"
+        return Proposal(
+            replace(query.uniform, name="mpnet, uniform"),
+            Timings(encode=run.encode_seconds, predict=run.predict_seconds),
+            detail,
+            vertices=run.vertices,
+            path=path,
+            failure=None if path is not None else failure,
+        )
+
+
+@dataclass(eq=False)
+class _Run:
+    """One call of `MPNetRollouts`: rollouts, and the paths through them."""
+
+    network: MPNetNetwork
+    settings: MPNetSettings
+    query: Query
+    code: np.ndarray
+    encode_seconds: float
+    predict_seconds: float = 0.0
+    vertices: int = 0
+
+    def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
+        """The path through one rollout, or None."""
+        rollout = self._rollout(start, goal)
+        return None if rollout is None else self._path(rollout)
+
+    def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | None:
+        """Let both sides grow in turn until a direct motion joins them."""
+        sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
+        joint = None
+        for turn in range(self.settings.predictions):
+            growing, other = sides[turn % 2], sides[1 - turn % 2]
+            state = self._next_state(growing[-1], other[-1])
+            if state is None:
+                return None
+            growing.append(state)
+            self.vertices += 1
+            joint = direct_motion(self.query.space, sides[0][-1], sides[1][-1])
+            if joint is not None:
+                break
+        if joint is None and not self.settings.bridge:
+            return None
+        return Rollout(np.array(sides[0] + sides[1][::-1]), len(sides[0]) - 1, joint)
+
+    def _next_state(self, current: np.ndarray, towards: np.ndarray) -> np.ndarray | None:
+        """The first proposal that is free once clipped and projected, or None when attempts or budget are used up."""
+        robot, settings = self.query.space.robot, self.settings
+        dropout = self.query.rng if settings.dropout else None
+        for _ in range(settings.attempts if settings.dropout else 1):
+            if self.query.deadline.spent():
+                return None
+            self.query.deadline.count()
+            began = time.perf_counter()
+            proposed = self.network.propose(
+                _normalised(robot, current), _normalised(robot, towards), self.code, dropout
+            )
+            q = _radians(robot, proposed)
+            self.predict_seconds += time.perf_counter() - began
+            if self.query.space.project(q) and self.query.space.valid(q):
+                return q
+        return None
+
+    def _path(self, rollout: Rollout) -> JointPath | None:
+        """Join every two neighbouring states, directly or by tree growth; None as soon as one pair fails."""
+        motions = []
+        for i, (a, b) in enumerate(pairwise(rollout.states)):
+            motion = rollout.joint if i == rollout.meeting else direct_motion(self.query.space, a, b)
+            motion = motion or self._grown(a, b)
+            if motion is None:
+                return None
+            motions.append(motion.states if i == 0 else motion.states[1:])
+        return JointPath(np.concatenate(motions))
+
+    def _grown(self, a: np.ndarray, b: np.ndarray) -> JointPath | None:
+        """A path from a to b (n,) by tree growth within its share of the budget."""
+        if self.query.deadline.spent():
+            return None
+        part = self.query.deadline.rest(self.settings.share)
+        result = BiRRT().search(self.query.space, a, b[None], self.query.uniform, part, self.query.rng)
+        self.vertices += result.vertices
+        return result.path
+
+
+def _normalised(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Configuration q (n,) [rad or m] in [-1, 1]."""
+    return 2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0
+
+
+def _radians(robot: Robot, u: np.ndarray) -> np.ndarray:
+    """Configuration (n,) [rad or m] of u (n,), clipped to [-1, 1]."""
+    return robot.lower + 0.5 * (np.clip(u, -1.0, 1.0).astype(float) + 1.0) * (robot.upper - robot.lower)

@@ -1,0 +1,73 @@
+"""Goals drawn in compiled code: as diverse as those of plain inverse kinematics, free, and counted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.goals import sample_goals
+from experiments.suites.family_task import other_robot_problem
+from experiments.suites.place_task import place_problem
+
+
+def apart(goals):
+    """Typical distance of goals from each other [rad]."""
+    return np.median(np.linalg.norm(goals[:, None] - goals[None], axis=2))
+
+
+@pytest.mark.parametrize("environment", [0, 1, 15, 1000])
+def test_goals_are_as_many_and_as_diverse_as_those_of_unhurried_inverse_kinematics(environment):
+    problem = place_problem(environment)
+    checker = problem.collision_checker(SAMPLE_MARGIN)
+    slow = sample_region(problem.robot, problem.goal_region, checker, np.random.default_rng(3), 20)
+    fast = sample_goals(problem, np.random.default_rng(3), 20)
+    assert len(fast.configurations) == len(slow.configurations) == 20
+    assert apart(fast.configurations) > 0.7 * apart(slow.configurations)
+
+
+def test_a_single_pose_is_reached_in_many_postures(problem):
+    there = TaskSpaceRegion(problem.robot.pose(problem.start), np.eye(4), np.zeros((6, 2)))
+    goals = sample_goals(replace(problem, goal_region=there), np.random.default_rng(0), 20).configurations
+    assert len(goals) == 20
+    assert len(np.unique(goals.round(2), axis=0)) >= 15
+
+
+def test_goals_near_a_configuration_keep_its_posture(problem):
+    goals = sample_goals(problem, np.random.default_rng(0), 5, near=problem.goals[0]).configurations
+    assert len(goals) == 5
+    assert np.linalg.norm(goals - problem.goals[0], axis=1).max() < 2.0
+
+
+def test_every_goal_keeps_the_margin_and_lies_in_the_region(problem):
+    goals = sample_goals(problem, np.random.default_rng(0), 10).configurations
+    assert len(goals) == 10
+    assert not problem.collision_checker(0.99 * SAMPLE_MARGIN).in_collision_batch(goals).any()
+    region = replace(problem, constraint=(problem.goal_region,)).manifold
+    assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
+
+
+def test_what_cannot_be_had_is_counted(problem):
+    """A region out of reach, and one inside the arm's own base."""
+    far, base = np.eye(4), np.eye(4)
+    far[:3, 3], base[:3, 3] = (5.0, 0.0, 0.0), (0.0, 0.0, 0.3)
+    bounds = np.array([(-0.01, 0.01)] * 3 + [(-0.1, 0.1)] * 3)
+    beyond = replace(problem, goals=np.empty((0, 7)), goal_region=TaskSpaceRegion(far, np.eye(4), bounds))
+    sample = sample_goals(beyond, np.random.default_rng(0), 5, max_poses=30)
+    assert (len(sample.configurations), sample.poses_tried, sample.unreachable) == (0, 30, 30)
+    inside = replace(beyond, goal_region=TaskSpaceRegion(base, np.eye(4), bounds))
+    sample = sample_goals(inside, np.random.default_rng(0), 5, max_poses=30)
+    assert len(sample.configurations) == 0 and sample.unreachable + sample.colliding == 30
+
+
+def test_half_of_the_goals_of_joints_with_more_than_a_turn_are_at_most_half_a_turn_away():
+    problem = other_robot_problem("ur5", 0)
+    assert isinstance(problem, PlanningProblem)
+    goals = sample_goals(problem, np.random.default_rng(0), 20).configurations
+    away = np.abs(goals - problem.start).max(axis=1)
+    assert away[::2].max() <= np.pi < away[1::2].max()
+    region = replace(problem, constraint=(problem.goal_region,)).manifold
+    assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
+    assert ((goals >= problem.robot.lower) & (goals <= problem.robot.upper)).all()

@@ -1,0 +1,316 @@
+"""Planners: they solve and are certified, repeat, give up when told, and pass exceptions on."""
+
+import gc
+import subprocess
+import sys
+import time
+import weakref
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from process_memory import in_use
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE
+from cvqmpt_lab.distributions import GaussianMixture, Uniform
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.kernels.search.space_arrays import StateCheck
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planners import PLANNERS, Method, planner_named
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
+from cvqmpt_lab.search.query import Proposal
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
+
+LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
+OURS = ("birrt", "guided-birrt")
+ENOUGH = Budget(iterations=20_000)
+
+
+def plan(problem, method, budget, seed=0, backend="compiled"):
+    """What the search of a method, given by name or object, finds."""
+    return solve(problem, method, budget, seed, backend=backend, clearance=False).plan
+
+
+def sampling(distribution):
+    """birrt on a distribution."""
+    return Method.simple("birrt", predict=lambda query, observation: Proposal(distribution))
+
+
+def outcome(result):
+    """What must repeat bit for bit."""
+    return states_hash(result.path.states), result.counters, result.vertices
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_every_planner_solves_a_place_problem(problem, name):
+    plan(problem, name, Budget(iterations=1))  # compiles what is not cached
+    solution = solve(problem, planner_named(name), Budget(seconds=20.0), seed=1)
+    result = solution.plan
+    assert result.seconds < 25.0 and result.vertices > 0 and "exact checks" not in result.detail
+    if result.path is None:  # charts are no projections, and may be all that a search had time for
+        assert name in LENIENT and result.status is PlanStatus.TIMEOUT
+        assert solution.simplified is None and solution.certificate is None and not solution.solved
+        return
+    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)) > 0
+    assert solution.certificate.reasons == () and solution.solved
+    np.testing.assert_array_equal(result.path.states[0], problem.start)
+    assert (problem.goals == result.path.states[-1]).all(axis=1).any()
+
+
+@pytest.mark.parametrize("name", [name for name in PLANNERS if name not in LENIENT])
+def test_paths_are_good_before_simplification(problem, name):
+    result = plan(problem, name, Budget(seconds=20.0), seed=1)
+    assert certify(problem, result.path, clearance=False).reasons == ()
+
+
+@pytest.mark.parametrize("backend", ["compiled", "exact"])
+@pytest.mark.parametrize("name", [*OURS, "ompl-projected"])
+def test_iteration_budgets_repeat_bit_for_bit(problem, name, backend):
+    first = outcome(plan(problem, name, ENOUGH, seed=3, backend=backend))
+    plan(problem, "birrt", Budget(iterations=5), seed=8)
+    assert outcome(plan(problem, name, ENOUGH, seed=3, backend=backend)) == first
+
+
+def test_another_process_finds_the_same_paths(problem, tmp_path):
+    names = ("ompl-projected", "birrt")
+    problem.save(tmp_path / "problem.json")
+    code = (
+        "import sys; sys.path.append('..')\n"  # where process_memory is
+        "from test_planners import *\n"
+        "problem = PlanningProblem.load(sys.argv[1])\n"
+        "print(*(states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in sys.argv[2:]))\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "problem.json"), *names]
+    there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True)
+    here = [states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in names]
+    assert there.stdout.split() == here, there.stderr
+
+
+@pytest.mark.parametrize("name", [*OURS, "ompl-projected"])
+def test_seeds_differ(problem, name):
+    assert len({states_hash(plan(problem, name, ENOUGH, seed=s).path.states) for s in range(3)}) == 3
+
+
+def test_backends_find_the_same_path(problem):
+    """Where coal and the kernels agree on every state asked, the planner cannot tell them apart.
+
+    Only the number of checks differs: with distances at hand, stretches of a motion are cleared at once.
+    """
+    compiled, exact = plan(problem, "birrt", ENOUGH), plan(problem, "birrt", ENOUGH, backend="exact")
+    assert states_hash(compiled.path.states) == states_hash(exact.path.states)
+    assert compiled.counters.projections == exact.counters.projections
+    assert compiled.counters.state_checks < exact.counters.state_checks
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize(
+    ("budget", "status"),
+    [
+        (Budget(iterations=1), PlanStatus.ITERATION_LIMIT),
+        (Budget(seconds=1e-9), PlanStatus.TIMEOUT),
+        (Budget(seconds=1e-9, iterations=1000), PlanStatus.TIMEOUT),
+        (Budget(seconds=1000.0, iterations=1), PlanStatus.ITERATION_LIMIT),
+    ],
+    ids=["1 iteration", "no time", "no time, iterations left", "1 iteration, time left"],
+)
+def test_spent_budgets_are_named_and_give_no_path(problem, name, budget, status):
+    result = plan(problem, name, budget, seed=1)
+    assert result.status is status and result.path is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "birrt",
+        "ompl-projected",
+    ],
+)
+def test_iterations_stay_within_the_budget(problem, name):
+    assert plan(problem, name, Budget(iterations=1), seed=1).counters.iterations == 1
+
+
+@pytest.mark.parametrize(
+    "limits", [{}, {"seconds": 0.0}, {"iterations": 0}, {"seconds": -1.0}, {"seconds": np.nan}]
+)
+def test_budgets_are_positive(limits):
+    with pytest.raises(InvalidInputError, match="budget"):
+        Budget(**limits)
+
+
+def test_unknown_names_are_listed(problem):
+    with pytest.raises(UnknownChoiceError, match=r"planner 'rrt'; valid choices: birrt.*tb-rrt"):
+        planner_named("rrt")
+    with pytest.raises(UnknownChoiceError, match="backend 'bullet'; valid choices: compiled, exact"):
+        ConstrainedSpace(problem, "bullet")
+
+
+def test_trees_are_sound(problem):
+    """Every node is on the manifold, free, inside the limits, and one step from its parent."""
+    result, space = plan(problem, "birrt", ENOUGH, seed=1), ConstrainedSpace(problem)
+    assert sum(len(tree.nodes) for tree in result.trees) == result.vertices
+    for tree in result.trees:
+        child = np.flatnonzero(tree.parent >= 0)
+        assert (tree.parent[child] < child).all()
+        steps = np.linalg.norm(tree.nodes[child] - tree.nodes[tree.parent[child]], axis=1)
+        assert steps.min() > 0.0 and steps.max() <= 2.0 * BiRRT().step
+        assert np.linalg.norm(problem.manifold.residual(tree.nodes), axis=1).max() <= TOLERANCE
+        assert all(space.valid(q) and problem.robot.joint_outside_limits(q) is None for q in tree.nodes)
+
+
+def test_trees_are_enlarged_when_full(problem):
+    """Steps of 2 mrad need more than the 4096 nodes that a tree has room for at first."""
+    space = ConstrainedSpace(problem, settings=SpaceSettings(step=0.002))
+    uniform = Uniform(problem.robot.lower, problem.robot.upper)
+    rng = np.random.default_rng(0)
+    result = BiRRT(step=0.002).search(space, problem.start, problem.goals, uniform, ENOUGH, rng)
+    assert max(len(tree.nodes) for tree in result.trees) > 4096
+    assert certify(problem, result.path, clearance=False).valid
+
+
+@pytest.mark.parametrize("backend", ["compiled", "exact"])
+def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
+    """A hopeless search: the goal's tree cannot leave the ball of obstacles around it."""
+    space = ConstrainedSpace(problem, backend)
+    nowhere = problem.goals[:1] + 1e-3
+    uniform = Uniform(problem.robot.lower, problem.robot.lower + 0.3)
+    rng = np.random.default_rng(0)
+    planner = BiRRT(extend_both=False, reach=0.2)
+    began = time.perf_counter()
+    result = planner.search(space, problem.start, nowhere, uniform, Budget(seconds=0.5), rng)
+    assert result.status is PlanStatus.TIMEOUT and result.counters.iterations > 0
+    assert time.perf_counter() - began < 0.6
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Draws far outside the limits; the planner clips."""
+
+    name: str = "outside"
+
+    def sample(self, rng, count):
+        return rng.uniform(-9.0, 9.0, (count, 7))
+
+
+def test_any_distribution_is_sampled_and_named(problem, solution):
+    means = solution.simplified.path.states[::20]
+    k = len(means)
+    uniform = Uniform(problem.robot.lower, problem.robot.upper)
+    guide = GaussianMixture(means, np.tile(0.05 * np.eye(7), (k, 1, 1)), np.full(k, 1 / k), uniform, 0.1)
+    result = plan(problem, sampling(guide), ENOUGH)
+    assert result.status is PlanStatus.SOLVED and result.sampler == "gaussian-mixture"
+    assert plan(problem, "birrt", Budget(iterations=1)).sampler == "uniform"
+
+
+def test_samples_outside_the_limits_are_clipped(problem):
+    result = plan(problem, sampling(Outside()), ENOUGH, seed=1)
+    assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
+
+
+@pytest.mark.parametrize("extend_both", [True, False])
+def test_both_forms_of_algorithm_3_solve(problem, extend_both):
+    result = plan(problem, Method.simple("birrt", search=BiRRT(extend_both=extend_both)), ENOUGH, seed=2)
+    assert certify(problem, result.path, clearance=False).valid
+
+
+def test_without_a_constraint(problem):
+    free = replace(problem, constraint=())
+    solution = solve(free, "birrt", ENOUGH, seed=0)
+    assert solution.solved and solution.plan.counters.projections == 0
+    with pytest.raises(
+        InvalidInputError,
+        match=r"ompl-projected: it needs a constraint.* planners that can: birrt$",
+    ):
+        solve(free, "ompl-projected", ENOUGH, seed=0)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_start_that_is_a_goal_is_solved(problem, name):
+    there = replace(problem, goals=problem.start[None], goal_region=None)
+    solution = solve(there, planner_named(name), Budget(seconds=10.0), seed=0)
+    assert solution.solved and solution.simplified.path.length < 0.5
+
+
+class Broken(CollisionChecker):
+    """A real checker that is interrupted at the hundredth question."""
+
+    asked = 0
+
+    def in_collision(self, q):
+        self.asked += 1
+        if self.asked == 100:
+            raise KeyboardInterrupt("at question 100")
+        return super().in_collision(q)
+
+
+@dataclass(frozen=True, eq=False)
+class Interrupted(PlanningProblem):
+    """A problem whose state checks are interrupted."""
+
+    def collision_checker(self, margin=0.0):
+        return Broken(self.robot, self.scene, self.attachments, margin)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_exceptions_in_state_checks_come_out(problem, name):
+    values = {field.name: getattr(problem, field.name) for field in fields(problem)}
+    with pytest.raises(KeyboardInterrupt, match="question 100"):
+        plan(Interrupted(**values), name, Budget(seconds=20.0), seed=1, backend="exact")
+
+
+@pytest.mark.parametrize("manifold", STATE_SPACES)
+def test_ompl_keeps_nothing_of_a_run(problem, manifold):
+    """Python's collector does not see what OMPL's objects hold: a circle through them would last for ever."""
+    space = ConstrainedSpace(problem)
+    uniform = Uniform(problem.robot.lower, problem.robot.upper)
+    arguments = problem.start, problem.goals, uniform, Budget(iterations=3), np.random.default_rng(0)
+    OmplSearch(manifold).search(space, *arguments)
+    kept = weakref.ref(space)
+    del space
+    gc.collect()
+    assert kept() is None
+
+
+@pytest.mark.parametrize("manifold", STATE_SPACES)
+def test_states_given_to_ompl_leave_no_memory_behind(problem, manifold):
+    """The binding frees no state that Python allocates: 96 bytes each, once 2 kB a run of 20 goals."""
+    space, goals = ConstrainedSpace(problem), np.repeat(problem.goals[:1], 100, axis=0)
+    search, rng = OmplSearch(manifold), np.random.default_rng(0)
+
+    def run_nine_times():
+        for _ in range(9):
+            search.search(space, problem.start, goals, None, Budget(iterations=1), rng)
+
+    run_nine_times()
+    before = in_use()
+    run_nine_times()
+    assert in_use() - before < 9 * 2000
+
+
+def test_state_check_keeps_its_error_until_asked():
+    query, calls = np.zeros(7), []
+
+    def fail(q):
+        calls.append(q)
+        raise ValueError("no answer")
+
+    check = StateCheck(fail, query)
+    assert not check._callback() and not check._callback()
+    assert len(calls) == 1 and calls[0] is query
+    with pytest.raises(ValueError, match="no answer"):
+        check.reraise()
+    check.reraise()
+
+
+def test_checked_path_names_the_bad_segment(problem, solution):
+    space, states = ConstrainedSpace(problem), solution.simplified.path.states
+    good, bad = space.checked_path(states)
+    assert bad == -1 and good.length == pytest.approx(solution.simplified.path.length, rel=1e-3)
+    through_the_kitchen = np.array([*states[:5], problem.goals[3], *states[5:]])
+    assert space.checked_path(through_the_kitchen) == (None, 4)

@@ -1,0 +1,112 @@
+"""The planning space where its cautious state checks and the meshes disagree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision import arrays as collision_arrays
+from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import Attachment, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
+
+MARGIN = SpaceSettings().margin
+ENOUGH = Budget(iterations=20_000)
+
+
+def with_block(problem, q, distance):
+    """A block beside the hand at q, its centre this far off [m]."""
+    T_world_block = problem.robot.pose(q) @ pose((0.0, distance, 0.03))
+    return replace(
+        problem, scene=problem.scene.with_objects(SceneObject("block", Box((0.04,) * 3), T_world_block))
+    )
+
+
+def touching_distance(problem, q):
+    """Smallest distance at which the block is free of the hand for coal, by bisection."""
+    inside, outside = 0.05, 0.3
+    for _ in range(40):
+        middle = 0.5 * (inside + outside)
+        touches = with_block(problem, q, middle).collision_checker().in_collision(q)
+        inside, outside = (middle, outside) if touches else (inside, middle)
+    return outside
+
+
+@pytest.fixture(scope="module")
+def tight(problem):
+    """The place problem with a block half a planning margin beside the hand at the start."""
+    touching = touching_distance(problem, problem.start)
+    return with_block(problem, problem.start, touching + 0.5 * MARGIN)
+
+
+def test_nothing_is_doubtful_in_ordinary_problems(problem):
+    assert ConstrainedSpace(problem).doubtful == ()
+    roomy = with_block(problem, problem.start, touching_distance(problem, problem.start) + 5.0 * MARGIN)
+    assert ConstrainedSpace(roomy).doubtful == ()
+
+
+def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(tight):
+    assert 0.0 < tight.collision_checker().clearance(tight.start) < MARGIN
+    space = ConstrainedSpace(tight)
+    assert space.doubtful == ("start",)
+    assert space.valid(tight.start) and all(space.valid(goal) for goal in tight.goals)
+
+
+def test_exact_checks_answer_near_it_only(tight):
+    """A goal in the same place is doubtful by its own name; the start's neighbours are judged by coal."""
+    space, exact = ConstrainedSpace(tight), tight.collision_checker()
+    cautious = tight.collision_checker(MARGIN)
+    rng = np.random.default_rng(0)
+    near = tight.start + 1e-5 * rng.standard_normal((300, 7))
+    expected = ~exact.in_collision_batch(near)
+    assert (expected & cautious.in_collision_batch(near)).sum() > 50
+    np.testing.assert_array_equal([space.valid(q) for q in near], expected)
+    both = tight.with_goals(np.array([*tight.goals[:2], tight.start]))
+    assert ConstrainedSpace(both).doubtful == ("start", "goal 2")
+
+
+def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
+    space = ConstrainedSpace(tight)
+    solution = solve(tight, "birrt", ENOUGH, seed=0)
+    assert solution.plan.status is PlanStatus.SOLVED
+    assert solution.plan.detail == "exact checks near start"
+    assert solution.certificate.reasons == () and solution.solved
+    assert certify(tight, solution.plan.path, clearance=False).valid
+    assert space.checked_path(solution.simplified.path.states)[0] is not None
+
+
+def test_the_unconstrained_space_is_as_doubtful(tight):
+    assert ConstrainedSpace(tight).unconstrained().doubtful == ("start",)
+
+
+def test_what_touches_is_not_doubtful_but_refused(problem):
+    blocked = with_block(problem, problem.start, touching_distance(problem, problem.start) - 1e-3)
+    space = ConstrainedSpace(blocked)
+    assert space.doubtful == () and not space.valid(blocked.start)
+    with pytest.raises(InvalidProblemError, match=r"start is in collision: .*block"):
+        solve(blocked, "birrt", ENOUGH, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        (Cylinder(3e7, 0.1), r"attachment 'can' reaches 3e\+07 m, more than 20"),
+        (
+            Cylinder(5.0, 5.0),
+            r"attachment 'can' is .* 5 m large, too large to plan with: give sizes in metres",
+        ),
+        (Box((15.0, 15.0, 0.01)), r"attachment 'can' is 15 x 15 x .* m large"),
+    ],
+)
+def test_what_is_too_large_to_carry_is_named_before_it_is_cut_into_pieces(
+    problem, monkeypatch, shape, message
+):
+    monkeypatch.setattr(collision_arrays, "stored_robot_geometry", lambda *given: pytest.fail("it was cut"))
+    carried = (Attachment("can", shape, np.eye(4)),)
+    with pytest.raises(InvalidInputError, match=message):
+        collision_arrays.robot_arrays(problem.robot, carried)

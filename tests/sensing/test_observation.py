@@ -1,0 +1,90 @@
+"""What networks are shown: the scene's own cloud, the cameras' view of shapes, or a cloud that was given."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from cvqmpt_lab import disk_cache as kept
+from cvqmpt_lab.disk_cache import kept_arrays
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planners import Method
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import PointCloud, Sphere
+from cvqmpt_lab.search.query import Stages
+from cvqmpt_lab.sensing import observation
+from cvqmpt_lab.sensing.observation import Observer
+from cvqmpt_lab.sensing.virtual import camera_cloud
+
+POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (5000, 3))
+VOXEL = 0.025
+BALL = SceneObject("ball", Sphere(0.1), pose((0.5, 0.4, 0.3)))
+SCAN = SceneObject("scan", PointCloud(POINTS, 0.01), pose((0.5, -0.2, 0.4), yaw=0.7))
+
+
+def seen(*objects):
+    return Observer()(Scene("s", objects))
+
+
+def test_a_scene_with_a_cloud_is_seen_as_it_is():
+    cloud = seen(SCAN)
+    world = POINTS @ SCAN.T_world_object[:3, :3].T + SCAN.T_world_object[:3, 3]
+    assert cloud.shape == (1024, 3) and not cloud.flags.writeable
+    assert cKDTree(world).query(cloud)[0].max() < VOXEL
+    assert cKDTree(cloud).query(world)[0].mean() < 2 * VOXEL
+
+
+def test_shapes_beside_a_cloud_are_seen_too():
+    cloud = seen(SCAN, BALL)
+    at_ball = np.linalg.norm(cloud - BALL.T_world_object[:3, 3], axis=1) < 0.1 + VOXEL
+    assert 10 < at_ball.sum() < 1000
+
+
+def test_a_scene_of_shapes_is_looked_at_by_cameras():
+    cloud = seen(BALL)
+    distances = np.linalg.norm(cloud - BALL.T_world_object[:3, 3], axis=1)
+    assert len(cloud) == 1024 and np.abs(distances - 0.1).max() < VOXEL
+
+
+def test_of_nothing_networks_see_two_points_under_the_base():
+    cloud = seen()
+    assert cloud.shape == (2, 3) and (cloud[:, 2] < -0.5).all()
+
+
+def test_a_given_cloud_wins_over_the_scenes(problem):
+    """Whatever the method would look at."""
+    method = Method("looks", lambda robot, weights: Stages(observe=Observer()))
+    measured = POINTS + (0.4, 0.0, 0.3)
+    cloud = method.with_cloud(measured).stages(problem).observe(Scene("s", (SCAN,)))
+    assert cloud.shape == (1024, 3) and cKDTree(measured).query(cloud)[0].max() < VOXEL
+
+
+def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem):
+    blind = Method.simple("blind")
+    with pytest.raises(InvalidInputError, match="blind does not look at a cloud"):
+        blind.with_cloud(POINTS).stages(problem)
+    with pytest.raises(
+        InvalidInputError, match=r"none of the cloud's 5000 points.*in the frame of the robot's base"
+    ):
+        Observer().of_points(POINTS + 9.0)
+
+
+def test_a_rendered_cloud_is_kept_on_disk_and_the_same_from_there(tmp_path, monkeypatch, problem):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    rendered = []
+    monkeypatch.setattr(
+        observation, "camera_cloud", lambda *given: rendered.append(given) or camera_cloud(*given)
+    )
+    first, again = Observer()(problem.scene), Observer()(problem.scene)
+    np.testing.assert_array_equal(first, again)
+    assert len(rendered) == 1 and not again.flags.writeable
+    changed = problem.scene.without(problem.scene.names[0])
+    assert len(Observer()(changed)) and len(Observer(seed=1)(problem.scene)) and len(rendered) == 3
+
+
+def test_of_kept_clouds_the_oldest_are_forgotten(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kept, "MOST", 2)
+    for key in (b"a", b"b", b"c"):
+        kept_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)})
+    assert len(list((tmp_path / "cvqmpt_lab" / "things").iterdir())) == 2

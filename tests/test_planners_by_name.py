@@ -1,0 +1,35 @@
+"""Weights serve the robot that they were trained for, and no other."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planners import CONTROLS, PLANNERS, WITHOUT_WEIGHTS
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.result import Budget
+
+NEEDY = [name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is not None]
+
+
+@pytest.fixture(scope="module", params=["ur5", "xarm7"])
+def other(request):
+    """A free problem of an arm with six joints, and of one with seven like the Panda."""
+    robot = robot_from_source({"name": request.param})
+    start = np.clip(np.zeros(robot.dof), robot.lower + 0.1, robot.upper - 0.1)
+    return PlanningProblem("elsewhere", robot, Scene("empty", ()), start, start[None] + 0.2)
+
+
+@pytest.mark.parametrize("name", NEEDY)
+def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
+    """A UR5 crashed the process here, and an xArm7 was planned with the Panda's weights as "solved"."""
+    with pytest.raises(InvalidInputError, match="weights are for robot 'panda', not") as refusal:
+        solve(other, name, Budget(iterations=10), seed=0)
+    assert str(refusal.value).endswith("planners that can: birrt") and "\n" not in str(refusal.value)
+
+
+def test_methods_without_weights_serve_it(other):
+    assert {"birrt", "guided-birrt"} <= set(WITHOUT_WEIGHTS)
+    assert solve(other, "guided-birrt", Budget(iterations=2000), seed=0).solved

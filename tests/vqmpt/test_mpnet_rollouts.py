@@ -1,0 +1,235 @@
+"""The MPNet planner: networks as they are, and one that heads straight for the goal, on tuning environments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planners import PLANNERS, Method
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
+from cvqmpt_lab.sensing.observation import Observer
+from cvqmpt_lab.sensing.virtual import CameraSettings
+from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
+from cvqmpt_lab.vqmpt.codebook import robot_signature
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.mpnet import MPNet
+from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts, MPNetSettings
+from cvqmpt_lab.vqmpt.weights import RobotSignature
+from experiments.rows import Run, path_hash, result_row
+from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
+
+CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)
+ENOUGH = Budget(iterations=20_000)
+COPIES = 10
+
+
+@pytest.fixture(scope="module")
+def tuning():
+    return with_sampled_goals(place_problem(TUNING_ENVIRONMENTS[0]))[0]
+
+
+def random_network(config=CONFIG):
+    torch.manual_seed(0)
+    return MPNet(config).eval()
+
+
+def ready(network):
+    """The network in numpy."""
+    robot = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
+    return MPNetNetwork(stored(MPNetCheckpoint(robot, network)))
+
+
+def heading_network(share=0.5):
+    """Proposes current + share * (goal - current); dropout of copies of its inputs makes it noisy."""
+    network = random_network(replace(CONFIG, planner_widths=(14 * COPIES, 8)))
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.zero_()
+        (first, slope), (second, other_slope) = network.hidden
+        slope.weight.fill_(1.0)
+        other_slope.weight.fill_(1.0)
+        first.weight[:, CONFIG.code_dim :] = torch.eye(14).repeat(COPIES, 1)
+        both = torch.cat(((1.0 - share) * torch.eye(7), share * torch.eye(7)), 1)
+        second.weight[:7] = both.repeat(1, COPIES) / COPIES
+        network.out.weight[:, :7] = torch.eye(7)
+    return network
+
+
+def stuck_network(problem):
+    """Proposes the same colliding configuration whatever it is asked."""
+    space, robot, rng = ConstrainedSpace(problem), problem.robot, np.random.default_rng(0)
+    q = rng.uniform(robot.lower, robot.upper)
+    while not space.project(q) or space.valid(q):
+        q = rng.uniform(robot.lower, robot.upper)
+    network = heading_network()
+    with torch.no_grad():
+        network.out.weight.zero_()
+        network.out.bias[:] = torch.from_numpy(2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0)
+    return network
+
+
+def cloud_of(scene):
+    """Corners of the obstacles: quicker than cameras."""
+    return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
+
+
+def mpnet_of(robot, network=None, observe=cloud_of, **settings):
+    """A method whose rollouts are those of a network."""
+    checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
+    return Method.simple(
+        "mpnet", predict=MPNetRollouts(stored(checkpoint), MPNetSettings(**settings)), observe=observe
+    )
+
+
+def plan(problem, method, budget=ENOUGH, seed=0):
+    """What the method finds."""
+    return solve(problem, method, budget, seed, clearance=False).plan
+
+
+# ---------------------------------------------------------------- the network in numpy
+
+
+def test_it_computes_what_the_torch_network_does():
+    network = random_network()
+    inference = ready(network)
+    rng = np.random.default_rng(0)
+    points, current, goal = rng.normal(size=(16, 3)), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
+    code = inference.encode(points)
+    with torch.no_grad():
+        expected = network.encode(torch.tensor(points[None], dtype=torch.float32))
+        np.testing.assert_allclose(code, expected[0], atol=1e-6)
+        ends = (torch.tensor(q[None], dtype=torch.float32) for q in (current, goal))
+        answer = network(*ends, expected, stochastic=False)
+    np.testing.assert_allclose(inference.propose(current, goal, code), answer[0], atol=1e-6)
+
+
+def test_dropout_has_the_mean_of_the_network_without_it():
+    inference = ready(heading_network())
+    rng = np.random.default_rng(0)
+    current, goal = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
+    proposals = np.array([inference.propose(current, goal, np.zeros(4), rng) for _ in range(4000)])
+    np.testing.assert_allclose(proposals.mean(axis=0), 0.5 * (current + goal), atol=0.01)
+    of_one_input = 0.2 / 0.8 / COPIES  # variance of a kept and scaled unit, averaged over its copies
+    spread = 0.5 * np.sqrt(of_one_input * (current**2 + goal**2))
+    np.testing.assert_allclose(proposals.std(axis=0), spread, rtol=0.1)
+
+
+def test_points_are_drawn_without_replacement_while_they_last():
+    inference = ready(random_network())
+    cloud = np.arange(60.0).reshape(20, 3) * 0.1
+    drawn = inference.draw_points(cloud, np.random.default_rng(0))
+    assert drawn.shape == (16, 3) and len(np.unique(drawn[:, 0])) == 16
+    assert len(np.unique(inference.draw_points(cloud[:5], np.random.default_rng(0))[:, 0])) == 5
+    for bad in (cloud[:1], cloud[0], 1000.0 * cloud, np.full((9, 3), np.nan)):
+        with pytest.raises(InvalidInputError, match="point cloud"):
+            inference.draw_points(bad, np.random.default_rng(0))
+
+
+# ---------------------------------------------------------------- the planner
+
+
+@pytest.mark.parametrize("make", [heading_network, random_network])
+def test_it_solves_a_place_problem(tuning, make):
+    solution = solve(tuning, mpnet_of(tuning.robot, make()), ENOUGH, seed=0)
+    assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
+    np.testing.assert_array_equal(solution.plan.path.states[0], tuning.start)
+    assert (tuning.goals == solution.plan.path.states[-1]).all(axis=1).any()
+    row = result_row(Run("suite", 0, "mpnet", 0, ENOUGH), solution, goal_seconds=0.0)
+    assert row.sampler_used == "mpnet, uniform" and row.n_projections > 0 and row.vertices > 0
+    assert min(row.t_encode_s, row.t_predict_s, row.t_plan_s) > 0.0 and row.t_optimize_s is None
+
+
+def test_the_same_seed_gives_the_same_path_bit_for_bit(tuning):
+    mpnet = mpnet_of(tuning.robot)
+    first, again, other = (plan(tuning, mpnet, seed=seed) for seed in (3, 3, 4))
+    assert path_hash(first.path) == path_hash(again.path) and first.counters == again.counters
+    assert path_hash(first.path) != path_hash(other.path)
+
+
+@pytest.mark.parametrize("limit", [1, 7, 60])
+def test_iterations_stay_within_the_budget(tuning, limit):
+    result = plan(tuning, mpnet_of(tuning.robot), Budget(iterations=limit))
+    assert result.counters.iterations <= limit
+    assert result.path is not None or result.status is PlanStatus.ITERATION_LIMIT
+
+
+def test_seconds_end_a_run(tuning):
+    result = plan(tuning, mpnet_of(tuning.robot), Budget(seconds=1e-6))
+    assert result.status is PlanStatus.TIMEOUT and result.path is None
+
+
+def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
+    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6))
+    assert result.status is PlanStatus.ITERATION_LIMIT and result.detail == "all 3 rollouts failed"
+    assert result.counters.iterations == 3 * 6
+
+
+def test_without_dropout_a_state_is_proposed_once(tuning):
+    stuck = mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6, dropout=False)
+    result = plan(tuning, stuck)
+    assert result.counters.iterations == 3
+
+
+def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
+    settings = {"predictions": 1, "rollouts": 1, "share": 1.0}
+    solved = {}
+    for bridge in (True, False):
+        short = mpnet_of(tuning.robot, heading_network(share=0.1), bridge=bridge, **settings)
+        solved[bridge] = plan(tuning, short).path is not None
+    assert solved == {True: True, False: False}
+
+
+def test_another_cloud_is_another_answer(tuning):
+    mpnet = mpnet_of(tuning.robot, random_network())
+    other = mpnet_of(tuning.robot, random_network(), lambda scene: cloud_of(scene) + 3.0)
+    assert path_hash(plan(tuning, mpnet).path) != path_hash(plan(tuning, other).path)
+
+
+def test_bad_input_is_named(tuning):
+    with pytest.raises(InvalidInputError, match="0 points"):
+        plan(tuning, mpnet_of(tuning.robot, random_network(), lambda scene: np.empty((0, 3))))
+    for values in ({"rollouts": 0}, {"attempts": 0}, {"share": 0.0}, {"share": 1.5}):
+        with pytest.raises(InvalidInputError, match=next(iter(values))):
+            MPNetSettings(**values)
+
+
+def test_shipped_mpnet_looks_with_as_many_points_as_it_takes(tuning):
+    stages = PLANNERS["mpnet"].stages(tuning)
+    assert stages.observe(tuning.scene).shape == (stages.predict.network.config.n_points, 3)
+
+
+# ---------------------------------------------------------------- what it stands on
+
+
+def test_direct_motions_are_checked_paths_or_nothing(tuning, solution):
+    space = ConstrainedSpace(tuning)
+    states = solution.simplified.path.spaced(0.3)[:2]
+    for q in states:
+        assert space.project(q)
+    motion = direct_motion(space, *states)
+    np.testing.assert_array_equal(motion.states[[0, -1]], states)
+    assert np.linalg.norm(np.diff(motion.states, axis=0), axis=1).max() <= 2.0 * space.settings.step
+    assert direct_motion(space, tuning.start, tuning.goals[0]) is None
+    same = direct_motion(space, tuning.start, tuning.start)
+    assert same is not None and same.length == 0.0
+
+
+def test_observers_remember_scenes_by_content(tuning):
+    camera = CameraSettings(
+        cameras=(Camera(Intrinsics.from_fov(width=32, height=32), look_at((-2.0, 0.0, 1.0))),)
+    )
+    observer = Observer(camera, scenes=1)
+    cloud = observer(tuning.scene)
+    assert len(cloud) > 20 and not cloud.flags.writeable
+    assert observer(place_problem(TUNING_ENVIRONMENTS[0]).scene) is cloud
+    np.testing.assert_array_equal(Observer(camera)(tuning.scene), cloud)
+    assert not np.array_equal(observer(kitchen()), cloud) and observer(tuning.scene) is not cloud
+    with pytest.raises(InvalidInputError, match="at least 1"):
+        Observer(scenes=0)

@@ -1,0 +1,108 @@
+"""Sequences of codes on the dictionary's roadmap: edge costs, Dijkstra's algorithm, and what comes of them."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt.sampler import CodeSequences, SequenceSettings
+from cvqmpt_lab.vqmpt.stages import POINTS, code_roadmap, edge_model, observer
+from experiments.suites.place_task import carried_can, place_problem
+
+WEIGHTS = "vq_mpt"
+SETTINGS = SequenceSettings()
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return with_sampled_goals(place_problem(1003))[0]
+
+
+@pytest.fixture(scope="module")
+def cloud(problem):
+    return observer(POINTS)(problem.scene)
+
+
+@pytest.fixture(scope="module")
+def seen(problem):
+    return code_roadmap(WEIGHTS, problem.robot)
+
+
+@pytest.fixture
+def query(problem):
+    return Query.of(ConstrainedSpace(problem), Budget(iterations=20_000), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("carried", [(), (carried_can(),)], ids=["empty hand", "a can"])
+def test_all_edges_at_once_look_as_each_on_its_own(cloud, problem, carried):
+    seen = code_roadmap(WEIGHTS, problem.robot, carried)
+    rows = np.random.default_rng(0).choice(len(seen.links.edges), 300, replace=False)
+    motions = seen.roadmap.nodes[seen.links.edges[rows]]
+    features, odds = edge_model(WEIGHTS, problem.robot, carried).log_odds(cloud, motions)
+    np.testing.assert_allclose(seen.features(cloud)[rows], features, atol=1e-12)
+    np.testing.assert_allclose(seen.edge_costs(cloud)[rows], np.logaddexp(0.0, -odds), atol=1e-12)
+
+
+def test_arcs_lead_along_every_edge_both_ways(seen):
+    links = seen.links
+    tail = np.repeat(np.arange(len(seen.roadmap.nodes)), np.diff(links.first))
+    assert len(tail) == 2 * len(links.edges)
+    np.testing.assert_array_equal(
+        links.edges[links.edge], np.sort(np.stack([tail, links.neighbour], 1), axis=1)
+    )
+
+
+def test_sequences_are_the_cheapest_through_some_code_that_none_before_has(seen, query, cloud):
+    """Judged by scipy: the start is node N, any goal node N + 1."""
+    found = CodeSequences(seen, cloud, query, SETTINGS, project_first=False).cheapest()
+    nodes, edges = seen.roadmap.nodes, seen.links.edges
+    count = len(nodes)
+    costs = {}
+    for end, near in ((count, query.start[None]), (count + 1, query.goals)):
+        for q in near:
+            gaps = np.linalg.norm(nodes - q, axis=1)
+            closest = np.argsort(gaps)[: SETTINGS.entries if end == count else SETTINGS.exits]
+            motions = np.stack([np.broadcast_to(q, nodes[closest].shape), nodes[closest]], axis=1)
+            doubt = np.logaddexp(0.0, -seen.model.log_odds(cloud, motions)[1])
+            for code, cost in zip(closest, gaps[closest] + SETTINGS.collision_weight * doubt, strict=True):
+                costs[code, end] = min(cost, costs.get((code, end), np.inf))
+    lengths = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
+    price = [*(lengths + SETTINGS.collision_weight * seen.edge_costs(cloud)), *costs.values()]
+    rows, columns = np.concatenate([edges, np.array(list(costs))]).T
+    matrix = csr_array((price, (rows, columns)), shape=(count + 2, count + 2))
+    cost = dijkstra(matrix, directed=False, indices=[count, count + 1])
+    through = cost.sum(axis=0)[:count]
+
+    def total(codes):
+        both = matrix + matrix.T
+        return sum(both[a, b] for a, b in zip([count, *codes], [*codes, count + 1], strict=True))
+
+    assert len(found) == SETTINGS.sequences
+    assert total(found[0]) == pytest.approx(through.min())
+    for k, codes in enumerate(found):
+        new = set(codes) - set().union(*found[:k])
+        assert len(set(codes)) == len(codes) and new
+        assert np.isclose(through[list(new)], total(codes)).any()
+    assert np.all(np.diff([total(codes) for codes in found]) >= 0.0)
+
+
+@pytest.mark.parametrize(("name", "on_manifold"), [("cvq-mpt", False), ("opt-cvq-mpt", True)])
+def test_codes_are_projected_before_prediction_where_the_planner_says_so(problem, query, name, on_manifold):
+    stages = planner_named(name).stages(problem)
+    proposal = stages.predict(query, Observation(stages.observe(problem.scene)))
+    off = np.abs(problem.manifold.residual(proposal.distribution.means)).max()
+    assert (off < 2e-3) == on_manifold and len(proposal.codes) == len(proposal.distribution.means)
+
+
+def test_where_no_sequence_reaches_a_goal_samples_are_uniform_and_the_proposal_says_so(problem, query):
+    stages = planner_named("cvq-mpt").stages(problem)
+    asked = CodeSequences(
+        stages.predict.roadmap_of(query), stages.observe(problem.scene), query, SETTINGS, project_first=False
+    )
+    asked.graph.factor[:] = np.inf
+    assert asked.cheapest() == []

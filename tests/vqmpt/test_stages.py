@@ -1,0 +1,62 @@
+"""Learned planners and controls on the shipped weights."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planners import CONTROLS, PLANNERS, REMOVED, planner_named
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from experiments.rows import path_hash
+from experiments.suites.place_task import place_problem
+
+ENOUGH = Budget(iterations=20_000)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return with_sampled_goals(place_problem(1003))[0]
+
+
+def plan(problem, name, budget=ENOUGH, seed=0):
+    """What the search of a method finds."""
+    return solve(problem, name, budget, seed, clearance=False).plan
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_controls_solve_repeat_and_give_up(problem, name):
+    first, second = plan(problem, name), plan(problem, name)
+    assert first.status is PlanStatus.SOLVED and certify(problem, first.path).valid
+    assert path_hash(first.path) == path_hash(second.path) and first.counters == second.counters
+    assert plan(problem, name, Budget(seconds=1e-9)).status is PlanStatus.TIMEOUT
+
+
+def test_learned_planners_pay_for_their_networks(problem):
+    result = plan(problem, "opt-algorithm-2")
+    assert result.timings.predict > 0 and result.timings.optimize > 0
+    assert result.seconds >= result.timings.total
+
+
+@pytest.mark.parametrize(("method", "shown_another"), [("roadmap-cvq", "roadmap-wrong-cloud")])
+def test_ways_need_the_cloud_of_their_own_scene(method, shown_another):
+    """With another scene's a planner works harder, over a few problems together."""
+    ratios = []
+    for environment in (1003, 1007, 1017, 1020, 1030):
+        problem = with_sampled_goals(place_problem(environment))[0]
+        own, wrong = (plan(problem, name).counters for name in (method, shown_another))
+        work = [counters.projections + counters.state_checks for counters in (own, wrong)]
+        ratios.append(np.log(work[1] / work[0]))
+    assert np.exp(np.mean(ratios)) > 1.3
+
+
+@pytest.mark.parametrize("name", REMOVED)
+def test_a_removed_planner_is_refused_with_what_replaces_it(name):
+    with pytest.raises(InvalidInputError, match=f"planner {name} was removed; use {REMOVED[name]}$"):
+        planner_named(name)
+    assert planner_named(REMOVED[name])
+
+
+def test_names_are_unique():
+    assert not set(PLANNERS) & set(CONTROLS)
+    assert all(planner_named(name).name == name for name in (*PLANNERS, *CONTROLS))
