@@ -67,6 +67,10 @@ class RoadmapRecipe(SceneRecipe):
             if found is not None:
                 labels.append(found)
                 scenes.append((family, scene_number, scene))
+        if not labels:
+            raise InvalidInputError(
+                f"every scene of shard {number} has a wall millimetres from the base; give other --scenes or --seed"
+            )
         arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
         paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
         arrays["path_scene"] = paths.astype(np.int32)
