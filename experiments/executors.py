@@ -28,6 +28,7 @@ from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]
 STDERR = 2  # its file descriptor
+STOPPED = "the executor of the runs has stopped; what was finished is kept, the same command continues"
 Task = TypeVar("Task")
 
 
@@ -57,7 +58,10 @@ class Executor:
         while waiting or running:
             while waiting and len(running) < 2 * self.size:
                 task, attempt = waiting.popleft()
-                running[self.submit(function, task)] = task, attempt
+                try:
+                    running[self.submit(function, task)] = task, attempt
+                except RuntimeError as error:  # what pebble and Dask raise of an executor that has stopped
+                    raise CvqmptError(STOPPED) from error
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task, attempt = running.pop(future)
                 result = self._result(future)
@@ -74,9 +78,7 @@ class Executor:
             reason = next(reason for kind, reason in self.losses.items() if isinstance(error, kind))
             return Lost(reason, _detail(error))
         except (CancelledError, BrokenProcessPool) as error:
-            raise CvqmptError(
-                "the executor of the runs has stopped; what was finished is kept, the same command continues"
-            ) from error
+            raise CvqmptError(STOPPED) from error
 
 
 def _detail(error: BaseException) -> str:

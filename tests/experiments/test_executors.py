@@ -10,7 +10,7 @@ from functools import partial
 import pebble
 import pytest
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.search.result import Budget
 from experiments import executors
@@ -56,6 +56,20 @@ def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkey
 def test_another_error_of_a_task_is_raised():
     with local_processes(2) as executor, pytest.raises(TypeError):
         list(executor.results(abs, [1, "no number"]))
+
+
+def process_id(_):
+    return os.getpid()
+
+
+def test_a_pool_whose_idle_process_is_killed_says_that_the_command_continues():
+    with local_processes(1) as executor:
+        ((_, pid),) = executor.results(process_id, [0])
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(CvqmptError, match=r"has stopped; .* the same command continues"):
+            for _ in range(100):  # until pebble sees it
+                list(executor.results(abs, range(3)))
+                time.sleep(0.05)
 
 
 def test_leaving_ends_all_processes_at_once():
