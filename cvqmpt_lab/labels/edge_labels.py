@@ -90,7 +90,7 @@ def train_edge_model(
     InvalidInputError
         When the dataset holds no scene to train on, or its robot is not the weights'.
     """
-    from cvqmpt_lab.training.edge_model import fit_edge_model  # torch: only to train
+    from cvqmpt_lab.training.edge_training import fit_edge_model  # torch: only to train
 
     robot = robot_from_source(read_json_object(data / DESCRIPTION_FILE).get("recipe", {}).get("robot"))
     model = read_model(resolve_model(weights, VQ_MPT, robot_signature(robot)))

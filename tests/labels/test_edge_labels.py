@@ -65,8 +65,8 @@ def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data
 def test_weights_without_an_edge_model_go_without_cloud_or_not_at_all(tmp_path):
     model = load_vq_mpt(panda())
     write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
-    assert roadmap_path()(panda(), str(tmp_path / "m")).observe is None
-    assert roadmap_path()(panda(), "vq_mpt").observe is not None
+    assert roadmap_path(panda(), str(tmp_path / "m")).observe is None
+    assert roadmap_path(panda(), "vq_mpt").observe is not None
     with pytest.raises(
         InvalidInputError, match="no sight, only dictionary; train some with cvqmpt train sight"
     ):
