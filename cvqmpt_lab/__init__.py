@@ -4,17 +4,17 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "Budget": "planning.result",
+    "Budget": "search.result",
     "GaussianMixture": "distributions",
-    "Method": "methods.method",
-    "PLANNERS": "methods.table",
+    "Method": "planners",
+    "PLANNERS": "planners",
     "PlanningProblem": "problem",
     "Scene": "scene.scene",
     "Task": "tasks.task",
     "TaskSpaceRegion": "constraints.task_space_region",
     "certify": "certificate",
     "load_robot": "robot.loading",
-    "planner_named": "methods.table",
+    "planner_named": "planners",
     "solve": "pipeline",
     "solve_many": "pipeline",
     "solve_task": "tasks.solve_task",
