@@ -13,7 +13,6 @@ instruction (a quarter of forward kinematics).
 
 import contextlib
 import functools
-import inspect
 import os
 import pickle
 import re
@@ -134,8 +133,7 @@ class Entry:
     @functools.cached_property
     def unchecked(self) -> Callable:
         """Its machine code, for callers that have checked the shapes: for bundles the check costs some microseconds."""
-        hints = get_type_hints(self.py_func, include_extras=True)
-        signature = tuple(_numba_type(hints[name]) for name in inspect.signature(self.py_func).parameters)
+        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
         for _ in range(8):
             try:
                 return self.dispatcher.compile(signature)
@@ -145,14 +143,9 @@ class Entry:
                 continue
         return self.dispatcher.compile(signature)
 
-    @functools.cached_property
-    def _forms(self) -> "tuple[_Form, ...]":
-        hints = get_type_hints(self.py_func, include_extras=True)
-        return _forms(tuple((name, hints[name]) for name in inspect.signature(self.py_func).parameters), 1)
-
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code, or raise InvalidInputError that names the array at fault."""
-        _check(arguments, self._forms, {}, self.name)
+        _check(arguments, _forms(self.py_func), {}, self.name, 1)
         return self.unchecked(*arguments)
 
 
@@ -168,63 +161,54 @@ def call_address(typing_context, address):
     return types.boolean(types.int64), generate
 
 
-def check_bundle(bundle: NamedTuple) -> None:
-    """InvalidInputError unless all arrays of a bundle, and of bundles in it, fit its annotations and each other."""
-    _check(bundle, _forms(_fields(type(bundle)), 9), {}, type(bundle).__name__)
-
-
 class _Form(NamedTuple):
-    """What an argument or field must look like: an array, or a bundle with forms of its own (else nothing is asked)."""
+    """What an argument, or a field of a bundle, must look like."""
 
     name: str
-    dtype: np.dtype | None
-    shape: tuple[int | str, ...] = ()  # numbers, or names that stand for one
-    members: "tuple[_Form, ...]" = ()
+    hint: Any  # float, int, bool, a bundle's class, or an annotated array
+    dtype: np.dtype | None = None  # of an array
+    shape: tuple[int | str, ...] = ()  # of an array: numbers, or names that stand for one
 
 
 @functools.cache
-def _fields(bundle: Any) -> tuple[tuple[str, Any], ...]:
-    hints = get_type_hints(bundle, include_extras=True)
-    return tuple((name, hints[name]) for name in bundle._fields)
-
-
-@functools.cache
-def _forms(hints: tuple[tuple[str, Any], ...], depth: int) -> tuple[_Form, ...]:
-    """Forms of arguments or fields, in order; of bundles in bundles only as deep as asked."""
+def _forms(annotated: Any) -> tuple[_Form, ...]:
+    """Forms of a function's arguments or of a bundle's fields, in order."""
     found = []
-    for name, hint in hints:
-        if hasattr(hint, "__metadata__"):
-            found.append(_Form(name, *_array(hint)))
-        else:
-            nested = hasattr(hint, "_fields") and depth > 0
-            found.append(_Form(name, None, (), _forms(_fields(hint), depth - 1) if nested else ()))
+    for name, hint in get_type_hints(annotated, include_extras=True).items():
+        if not hasattr(hint, "__metadata__"):
+            found.append(_Form(name, hint))
+            continue
+        words = hint.__metadata__[0].split()
+        dtype = DTYPES[words.pop(0) if words[0] in DTYPES else "float64"]
+        shape = tuple(int(word) if word.isdigit() else word for word in words)
+        found.append(_Form(name, hint, dtype, shape))
     return tuple(found)
 
 
-def _array(hint: Any) -> tuple[np.dtype, tuple[int | str, ...]]:
-    """Type and shape that an array's annotation asks for."""
-    words = hint.__metadata__[0].split()
-    dtype = DTYPES[words.pop(0)] if words[0] in DTYPES else DTYPES["float64"]
-    return dtype, tuple(int(word) if word.isdigit() else word for word in words)
+def _numba_type(form: _Form) -> types.Type:
+    """Numba's type of what has a form."""
+    if form.dtype is not None:
+        return types.Array(from_dtype(form.dtype), len(form.shape), "C")
+    if form.hint in NUMBERS:
+        return NUMBERS[form.hint]
+    return types.BaseTuple.from_types(tuple(map(_numba_type, _forms(form.hint))), form.hint)
 
 
-def _numba_type(hint: Any) -> types.Type:
-    """Numba's type of what an annotation describes."""
-    if hint in NUMBERS:
-        return NUMBERS[hint]
-    if hasattr(hint, "_fields"):
-        return types.BaseTuple.from_types(tuple(_numba_type(field) for _, field in _fields(hint)), hint)
-    dtype, shape = _array(hint)
-    return types.Array(from_dtype(dtype), len(shape), "C")
+def check_bundle(bundle: NamedTuple) -> None:
+    """InvalidInputError unless all arrays of a bundle, and of bundles in it, fit its annotations and each other."""
+    _check(bundle, _forms(type(bundle)), {}, type(bundle).__name__, 9)
 
 
-def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str) -> None:
-    """Compare values with their forms; sizes: numbers found so far for names of dimensions."""
+def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str, depth: int) -> None:
+    """Compare values with their forms.
+
+    sizes: numbers found so far for names of dimensions. depth: of the bundles in bundles that are looked into.
+    """
     for value, form in zip(values, forms, strict=True):
         if form.dtype is None:
-            if form.members:
+            if depth > 0 and form.hint not in NUMBERS:
                 own = {name: size for name, size in sizes.items() if len(name) == 1}
-                _check(value, form.members, own, f"{where}.{form.name}")
+                _check(value, _forms(form.hint), own, f"{where}.{form.name}", depth - 1)
                 sizes.update((name, size) for name, size in own.items() if len(name) == 1)
             continue
         right = type(value) is np.ndarray and value.dtype == form.dtype and value.ndim == len(form.shape)
@@ -235,10 +219,8 @@ def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where
             else:
                 continue
         wanted = ", ".join(f"{name} = {sizes[name]}" if name in sizes else str(name) for name in form.shape)
-        needed = f"({wanted}) of {form.dtype}"
-        if not isinstance(value, np.ndarray):
-            given = type(value).__name__
-            raise InvalidInputError(f"{where}: {form.name} is a {given}; give an array {needed}")
-        order = "" if value.flags.c_contiguous else ", not contiguous (np.ascontiguousarray cures that)"
-        given = f"shape {value.shape} of {value.dtype}{order}"
-        raise InvalidInputError(f"{where}: {form.name} has {given}; needed: {needed}")
+        given, needed = f"is a {type(value).__name__}", f"needed: ({wanted}) of {form.dtype}"
+        if isinstance(value, np.ndarray):
+            order = "" if value.flags.c_contiguous else ", not contiguous (np.ascontiguousarray cures that)"
+            given = f"has shape {value.shape} of {value.dtype}{order}"
+        raise InvalidInputError(f"{where}: {form.name} {given}; {needed}")

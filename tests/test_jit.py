@@ -50,7 +50,7 @@ def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
         ),
         ((a_pair(), np.ones(2, dtype=np.float32), 1.0), r"q has shape \(2,\) of float32"),
         ((a_pair(), np.ones((1, 2)), 1.0), r"q has shape \(1, 2\)"),
-        ((a_pair(), [1.0, 1.0], 1.0), r"q is a list; give an array \(n = 2\) of float64"),
+        ((a_pair(), [1.0, 1.0], 1.0), r"q is a list; needed: \(n = 2\) of float64"),
         ((a_pair(), np.ones(4)[::2], 1.0), r"not contiguous"),
         ((a_pair(dtype=np.int32), np.ones(2), 1.0), r"first_entry\.pair: parent .* of int32"),
         ((Pair(np.ones((3, 2)), np.zeros(4, int)), np.ones(2), 1.0), r"parent .* needed: \(rows = 3\)"),

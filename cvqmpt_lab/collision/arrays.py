@@ -1,4 +1,7 @@
-"""The collision arrays of robots, kept in the user's cache: cutting hulls into pieces takes a quarter of a second."""
+"""The arrays of the compiled collision checker, from a problem's robot, attachments and scene.
+
+Those of robots are kept in the user's cache: cutting hulls into pieces takes a quarter of a second.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -8,13 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.collision.clusters import Cloud
 from cvqmpt_lab.collision.exact import carried_pairs, reach_with
-from cvqmpt_lab.collision.geometry import (
-    CELL,
-    RobotGeometry,
-    SceneGeometry,
-    robot_geometry,
-    scene_geometry,
-)
+from cvqmpt_lab.collision.geometry import CELL, RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
 from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS
@@ -24,18 +21,12 @@ from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import MOST_BALLS, cells_of, merged
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.scene.shapes import (
-    Box,
-    ConvexMesh,
-    Cylinder,
-    Measured,
-    PointCloud,
-    Shape,
-    Sphere,
-)
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, PointCloud, Sphere
 
-PIECES = "pieces."
-"""Before the names of the arrays of `RobotGeometry.pieces`."""
+NO_VERTICES = np.empty((0, 3))
+MOST_BLOCKS = 2000  # As large as the pieces that shapes are cut into: a metre and a fifth cubed
+MOST_CELLS = 256  # Of the distance grid, along an edge: a long reach has coarser cells instead of more memory
+PIECES = "pieces."  # Before the names of the arrays of `RobotGeometry.pieces`
 
 
 def stored_robot_geometry(
@@ -48,25 +39,13 @@ def stored_robot_geometry(
         pieces = {PIECES + name: array for name, array in made.pieces._asdict().items()}
         return pieces | {name: value for name, value in made._asdict().items() if name != "pieces"}
 
-    found = kept_arrays("robot_geometry", _made_of(specs, link, pairs), arrays)
+    made_of = [f"{SOURCES} {list(link)} {list(pairs)}".encode()]
+    for spec in specs:
+        made_of.append(f"{spec.kind} {spec.size} {spec.vertices.shape}".encode())
+        made_of += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
+    found = kept_arrays("robot_geometry", b"".join(made_of), arrays)
     pieces = ConvexShapes(*(found.pop(PIECES + name) for name in ConvexShapes._fields))
     return RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found)
-
-
-def _made_of(specs: Sequence[ShapeSpec], link: Sequence[int], pairs: Sequence[tuple[int, int]]) -> bytes:
-    parts = [f"{SOURCES} {list(link)} {list(pairs)}".encode()]
-    for spec in specs:
-        parts.append(f"{spec.kind} {spec.size} {spec.vertices.shape}".encode())
-        parts += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
-    return b"".join(parts)
-
-
-# From a problem's robot, attachments and scene to the arrays of the compiled collision checker.
-NO_VERTICES = np.empty((0, 3))
-MOST_BLOCKS = 2000
-"""As large as the pieces that shapes are cut into: a metre and a fifth cubed."""
-MOST_CELLS = 256
-"""Of the distance grid, along an edge: a long reach has coarser cells instead of more memory."""
 
 
 @lru_cache(maxsize=8)
@@ -83,7 +62,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     hand, T_link_hand = robot.end_effector_link
     rows = []
     for item in attachments:
-        carried = _specs(item.shape, T_link_hand @ item.T_hand_object)
+        carried = SPECS[type(item.shape)](item.shape, T_link_hand @ item.T_hand_object)
         for spec in carried:
             _require_few_pieces(f"attachment {item.name!r}", spec)
         rows.append(range(len(specs), len(specs) + len(carried)))
@@ -107,13 +86,10 @@ def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
 @lru_cache(maxsize=8)
 def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base."""
-    solids = [item for item in scene.obstacles if not isinstance(item.shape, Measured)]
-    clouds = [
-        _cloud(item.shape, item.T_world_object, reach)
-        for item in scene.obstacles
-        if isinstance(item.shape, Measured)
-    ]
-    specs = [spec for item in solids for spec in _specs(item.shape, item.T_world_object)]
+    placed = [(item.shape, item.T_world_object) for item in scene.obstacles]
+    clouds = [_cloud(shape, T, reach) for shape, T in placed if isinstance(shape, Measured)]
+    solids = [(shape, T) for shape, T in placed if not isinstance(shape, Measured)]
+    specs = [spec for shape, T in solids for spec in SPECS[type(shape)](shape, T)]
     cell = max(CELL, 2.0 * reach / MOST_CELLS)
     return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
 
@@ -128,11 +104,6 @@ def _cloud(shape: Measured, T: np.ndarray, reach: float = np.inf, most_balls: in
         return Cloud(NO_VERTICES, NO_VERTICES, 0.0, T)
     low, high = (cells.edge * corner for corner in merged(cells.index))
     return Cloud(0.5 * (low + high), 0.5 * (high - low), cells.padding, cells.T_parent_cells)
-
-
-def _specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
-    """A solid in plain numbers, or the balls of a carried cloud."""
-    return SPECS[type(shape)](shape, T)
 
 
 def _boxes(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:

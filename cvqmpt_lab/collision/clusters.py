@@ -15,29 +15,20 @@ _BITS = 21  # of each coordinate on the curve
 class Cloud(NamedTuple):
     """Boxes along the axes of one frame, each swelled by a radius; points are boxes of size zero."""
 
-    centre: np.ndarray
-    """(k, 3) [m]."""
-    half: np.ndarray
-    """(k, 3) half edges [m]."""
-    radius: float
-    """Swelling of every box [m]."""
-    T_world_cloud: np.ndarray
-    """(4, 4), pose of their frame [m]."""
+    centre: np.ndarray  # (k, 3) [m]
+    half: np.ndarray  # (k, 3) half edges [m]
+    radius: float  # Swelling of every box [m]
+    T_world_cloud: np.ndarray  # (4, 4), pose of their frame [m]
 
 
 class Clusters(NamedTuple):
     """Boxes around neighbouring grains, along the axes of their cloud's frame."""
 
-    centre: np.ndarray
-    """(n, 3) in the world [m]."""
-    half: np.ndarray
-    """(n, 3) half edges [m]."""
-    rotation: np.ndarray
-    """(n, 3, 3), of the cloud's frame."""
-    radius: np.ndarray
-    """(n,) swelling of the grains [m]."""
-    cloud: np.ndarray
-    """(n,) int64, which cloud."""
+    centre: np.ndarray  # (n, 3) in the world [m]
+    half: np.ndarray  # (n, 3) half edges [m]
+    rotation: np.ndarray  # (n, 3, 3), of the cloud's frame
+    radius: np.ndarray  # (n,) swelling of the grains [m]
+    cloud: np.ndarray  # (n,) int64, which cloud
     start: np.ndarray
     """(n + 1,) int64 range of each cluster in `grains`; empty when the cluster is one grain, which its box is."""
     grains: np.ndarray

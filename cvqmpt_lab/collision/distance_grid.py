@@ -1,8 +1,9 @@
-"""Filling a distance grid by blocks of 8^3 cells.
+"""A grid of distances to the nearest obstacle: one look-up clears a ball, however many obstacles there are.
 
-The obstacles that can matter inside a block are collected, and each lowers the distances of all its cells. Distances
-from a box along the axes are sums of one term an axis, 24 in all, so that the 512 cells cost an addition and a
-comparison each. Turned boxes are measured cell by cell, where they can be nearest.
+Each cell holds a lower bound, rounded down to a byte, and each block of 2^3 cells a list of the obstacles nearby. The
+grid is filled by blocks of 8^3 cells: obstacles that can matter inside a block are collected, and each lowers the
+distances of all its cells. Distances from a box along the axes are sums of one term an axis, 24 in all, so that the
+512 cells cost an addition and a comparison each. Turned boxes are measured cell by cell, where they can be nearest.
 """
 
 from typing import Annotated, NamedTuple
@@ -17,6 +18,14 @@ COARSE = 8  # cells along the edge of a block
 SIDE = 4  # list blocks along the edge of one of these
 LISTS = SIDE**3  # in all
 BETWEEN = 16  # obstacles, a block's distances are looked at for what can still lower them
+ROOM = 1024  # items of lists, to begin with
+REACH = 0.13  # [m] largest ball whose neighbours are listed
+CENTRE, HALF, SWELLING, COLUMNS = (
+    9,
+    12,
+    15,
+    16,
+)  # an obstacle's bounds: box (rotation first), swelled by a radius
 _ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
 _HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
 
@@ -24,20 +33,14 @@ _HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
 class DistanceGrid(NamedTuple):
     """Lower bounds of distances, and lists of the obstacles nearby; see `distance_grid`."""
 
-    origin: Annotated[np.ndarray, "3"]
-    """Corner of the grid [m]."""
-    cell: float
-    """Edge of a cell [m]."""
-    cells_per_metre: float
-    """Its inverse [1/m]."""
-    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
-    """In units of RANGE / 255."""
+    origin: Annotated[np.ndarray, "3"]  # Corner of the grid [m]
+    cell: float  # Edge of a cell [m]
+    cells_per_metre: float  # Its inverse [1/m]
+    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]  # In units of RANGE / 255
     list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
     """Where the list of a block of 2^3 cells begins in `items`."""
-    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]
-    """How long it is."""
-    items: Annotated[np.ndarray, "int32 listed"]
-    """Obstacle indices."""
+    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]  # How long it is
+    items: Annotated[np.ndarray, "int32 listed"]  # Obstacle indices
 
 
 @kernel(inline="machine")
@@ -190,26 +193,18 @@ def _store(grid, bx, by, bz, best2, best):
 class Work(NamedTuple):
     """Arrays that are used anew for every block."""
 
-    corner: Annotated[np.ndarray, "3"]
-    """Of the block [m]."""
+    corner: Annotated[np.ndarray, "3"]  # Of the block [m]
     gaps: Annotated[np.ndarray, "3 8"]
     """Squared distances of a box from the block's COARSE cells along each axis [m^2]."""
-    yz: Annotated[np.ndarray, "64"]
-    """Sums of those along y and z."""
-    best2: Annotated[np.ndarray, "8 64"]
-    """Squared distances of the cells [m^2], and ..."""
-    best: Annotated[np.ndarray, "8 64"]
-    """... distances [m]; the smaller counts."""
+    yz: Annotated[np.ndarray, "64"]  # Sums of those along y and z
+    best2: Annotated[np.ndarray, "8 64"]  # Squared distances of the cells [m^2], and ...
+    best: Annotated[np.ndarray, "8 64"]  # ... distances [m]; the smaller counts
     upper: Annotated[np.ndarray, "64"]
     """Bound on what the cells of each of LISTS list blocks have nearest [m]."""
-    counts: Annotated[np.ndarray, "int64 64"]
-    """How many obstacles each list holds."""
-    listed: Annotated[np.ndarray, "int32 64 most"]
-    """Those."""
-    near: Annotated[np.ndarray, "most"]
-    """Distances of obstacles from the block [m]."""
-    kept: Annotated[np.ndarray, "int32 most"]
-    """Obstacles that matter to it."""
+    counts: Annotated[np.ndarray, "int64 64"]  # How many obstacles each list holds
+    listed: Annotated[np.ndarray, "int32 64 most"]  # Those
+    near: Annotated[np.ndarray, "most"]  # Distances of obstacles from the block [m]
+    kept: Annotated[np.ndarray, "int32 most"]  # Obstacles that matter to it
 
 
 @kernel
@@ -272,14 +267,6 @@ def fill_blocks(
     return block_start.shape[0] - 1, used
 
 
-# A grid of distances to the nearest obstacle: one look-up clears a ball, whatever the obstacle count.
-ROOM = 1024  # items of lists, to begin with
-REACH = 0.13  # [m] largest ball whose neighbours are listed
-
-# Columns of an obstacle's bounds: an oriented box swelled by a radius.
-ROTATION, CENTRE, HALF, SWELLING, COLUMNS = 0, 9, 12, 15, 16
-
-
 @entry
 def assign(
     bounds: Annotated[np.ndarray, "count 16"],
@@ -324,8 +311,7 @@ def distance_grid(
     starts = np.cumsum(starts)
     block_items = np.empty(starts[-1], dtype=np.int32)
     assign(bounds, origin, edge, blocks, span, starts[:-1].copy(), block_items, True)
-    pairs = tuple(COARSE // 2 * blocks)
-    work = _work_arrays(int(np.diff(starts).max()))
+    pairs, most = tuple(COARSE // 2 * blocks), int(np.diff(starts).max())
     grid = DistanceGrid(
         origin,
         float(cell),
@@ -333,38 +319,26 @@ def distance_grid(
         np.full(tuple(COARSE * blocks), 255, dtype=np.uint8),
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs, dtype=np.int32),
-        np.empty(0, dtype=np.int32),
+        np.empty(ROOM, dtype=np.int32),
     )
-    return _fill(bounds, grid, starts, block_items, reach, work)
-
-
-def _fill(
-    bounds: np.ndarray,
-    grid: DistanceGrid,
-    block_start: np.ndarray,
-    block_items: np.ndarray,
-    reach: float,
-    work: Work,
-) -> DistanceGrid:
-    """Return the grid with its distances and lists filled, as `fill_blocks` does; grid: without items."""
-    grid, block, used = grid._replace(items=np.empty(ROOM, dtype=np.int32)), 0, 0
-    while block < len(block_start) - 1:
-        block, used = fill_blocks(bounds, grid, block_start, block_items, reach, work, block, used)
-        if block < len(block_start) - 1:
-            more = max(len(grid.items), work.listed.size)
-            grid = grid._replace(items=np.concatenate([grid.items, np.empty(more, dtype=np.int32)]))
+    block, used, work = 0, 0, _work_arrays(most)
+    while block < len(starts) - 1:
+        block, used = fill_blocks(bounds, grid, starts, block_items, reach, work, block, used)
+        if block < len(starts) - 1:
+            more = np.empty(max(len(grid.items), work.listed.size), dtype=np.int32)
+            grid = grid._replace(items=np.concatenate([grid.items, more]))
     return grid._replace(items=grid.items[:used].copy())
 
 
 def _work_arrays(most: int) -> Work:
-    """Return room for `fill_blocks`, where at most so many obstacles are near one block."""
-    plane = COARSE * COARSE
+    """Arrays for `fill_blocks`, where at most so many obstacles are near one block."""
+    cells = (COARSE, COARSE**2)
     return Work(
         corner=np.empty(3),
         gaps=np.empty((3, COARSE)),
-        yz=np.empty(plane),
-        best2=np.empty((COARSE, plane)),
-        best=np.empty((COARSE, plane)),
+        yz=np.empty(COARSE**2),
+        best2=np.empty(cells),
+        best=np.empty(cells),
         upper=np.empty(LISTS),
         counts=np.empty(LISTS, dtype=np.int64),
         listed=np.empty((LISTS, most), dtype=np.int32),

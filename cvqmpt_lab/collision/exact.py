@@ -20,25 +20,18 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
-LONGEST_REACH = (
-    20.0  # [m] of an arm with what it carries; more is a misplaced unit, and would take time without end
-)
-SWELLINGS = (1e-3, 1e-2, 0.05, 0.25)
-"""[m] by which the boxes of obstacles are swelled in a broad phase, so that it reports what is that close."""
-FARTHEST = 1e100
-"""[m] beyond this, coal found no pair to measure."""
-ROUNDING = 1e-6
-"""[m] coal's distances are no better than this."""
+LONGEST_REACH = 20.0  # [m] of an arm with what it carries; more is a misplaced unit, and would never end
+SWELLINGS = (1e-3, 1e-2, 0.05, 0.25)  # [m] of boxes in a broad phase, which then reports what is that close
+FARTHEST = 1e100  # [m] beyond this, coal found no pair to measure
+ROUNDING = 1e-6  # [m] coal's distances are no better than this
 
 
 @dataclass(frozen=True)
 class CollidingPair:
     """Two pieces that overlap, or are closest."""
 
-    first: str
-    """Name of a piece of the robot or of what it carries."""
-    second: str
-    """Name of another one, or of an obstacle."""
+    first: str  # Name of a piece of the robot or of what it carries
+    second: str  # Name of another one, or of an obstacle
 
     def __str__(self) -> str:
         return f"{self.first} and {self.second}"
@@ -49,16 +42,14 @@ class Solid(NamedTuple):
 
     name: str
     shape: coal.CollisionGeometry
-    T_parent_shape: np.ndarray
-    """(4, 4), pose in the world or in the hand [m]."""
+    T_parent_shape: np.ndarray  # (4, 4), pose in the world or in the hand [m]
 
 
 class _World(NamedTuple):
     """Obstacles in a broad phase."""
 
     phase: coal.DynamicAABBTreeCollisionManager
-    objects: list[coal.CollisionObject]
-    """They must outlive the broad phase, which looks at their boxes, too."""
+    objects: list[coal.CollisionObject]  # They must outlive the broad phase, which looks at their boxes, too
 
 
 class CollisionChecker:
@@ -80,9 +71,7 @@ class CollisionChecker:
         self._own_results = pin.GeometryData(self._geometry)
         for request in self._own_results.collisionRequests:
             request.security_margin = margin
-            request.enable_contact = (
-                True  # without, coal calls some pairs free that overlap by half a millimetre
-            )
+            request.enable_contact = True  # else coal calls some pairs free that overlap by half a millimetre
         self._own = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
             self._model, self._geometry, self._own_results
         )
@@ -116,7 +105,8 @@ class CollisionChecker:
         moved = self._sweep.in_world(q, hulls) + self._margin + ROUNDING
         clear = moved.max(axis=1, initial=0.0) <= SWELLINGS[-1]
         for k in np.flatnonzero(clear):
-            self._pose(q[k])
+            pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q[k])
+            self._own.update()
             clear[k] = not self._meets_obstacle(moved[k])
         return clear
 
@@ -135,21 +125,18 @@ class CollisionChecker:
             return True
         return all(found[k].min_distance > gap for k, gap in enumerate(gaps.tolist()))
 
-    def _pose(self, q: np.ndarray) -> None:
-        """Put every piece where it is at q."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
-        self._own.update()
-
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """The first overlapping pair by name, or None."""
         pin.computeCollisions(self._model, self._data, self._geometry, self._own_results, q, False)
         for k, result in enumerate(self._own_results.collisionResults):
             if result.isCollision():
-                return self._own_pair(k)
+                pair, objects = self._geometry.collisionPairs[k], self._geometry.geometryObjects
+                return CollidingPair(objects[pair.first].name, objects[pair.second].name)
         self._own.update()
         request = self._callback.data.request
         request.security_margin = self._margin
-        pieces, obstacles = self._own_objects(), self._world(0.0).objects
+        pieces = [item for *_, objects in self._links for item in objects]
+        obstacles = self._world(0.0).objects
         for j, i in np.argwhere(_box_gaps(obstacles, pieces) <= self._margin):
             if coal.collide(pieces[i], obstacles[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
@@ -157,7 +144,12 @@ class CollisionChecker:
 
     def clearance(self, q: np.ndarray) -> float:
         """Smallest distance of all pairs [m]; zero or negative (penetration) in collision, inf without pairs."""
-        nearest = self._own_distance(q)
+        nearest, model, data = np.inf, self._model, self._data
+        if len(self._geometry.collisionPairs) == 0:
+            pin.updateGeometryPlacements(model, data, self._geometry, self._own_results, q)
+        else:
+            k = pin.computeDistances(model, data, self._geometry, self._own_results, q)
+            nearest = float(self._own_results.distanceResults[k].min_distance)
         self._own.update()
         callback = coal.DistanceCallBackDefault()
         for _, manager, _ in self._links:
@@ -194,47 +186,27 @@ class CollisionChecker:
         """The obstacles in boxes that are swelled by no less than a margin [m]."""
         return self._world(next((s for s in (self._margin, *SWELLINGS) if s >= margin), margin))
 
-    def _own_objects(self) -> list[coal.CollisionObject]:
-        """Pieces that can meet obstacles, in the order of their names."""
-        return [item for *_, objects in self._links for item in objects]
-
-    def _own_distance(self, q: np.ndarray) -> float:
-        """Smallest distance of the robot's own pairs [m]; poses are ready after it."""
-        if len(self._geometry.collisionPairs) == 0:
-            pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
-            return np.inf
-        k = pin.computeDistances(self._model, self._data, self._geometry, self._own_results, q)
-        return float(self._own_results.distanceResults[k].min_distance)
-
-    def _own_pair(self, index: int) -> CollidingPair:
-        pair, objects = self._geometry.collisionPairs[index], self._geometry.geometryObjects
-        return CollidingPair(objects[pair.first].name, objects[pair.second].name)
-
 
 def _box_gaps(first: list, second: list) -> np.ndarray:
     """Distances (a, b) [m] between the boxes around coal's objects, a of the first and b of the second."""
-    one, other = _boxes(first), _boxes(second)
-    apart = np.maximum(one[0][:, None] - other[1], other[0] - one[1][:, None])
+    low, high = (
+        np.array([getattr(o.getAABB(), end) for o in first]).reshape(-1, 1, 3) for end in ("min_", "max_")
+    )
+    least, most = (
+        np.array([getattr(o.getAABB(), end) for o in second]).reshape(-1, 3) for end in ("min_", "max_")
+    )
+    apart = np.maximum(low - most, least - high)
     return np.linalg.norm(np.maximum(apart, 0.0), axis=2)
-
-
-def _boxes(objects: list) -> np.ndarray:
-    """Lower and upper corners of the boxes around coal's objects, (2, k, 3) [m]."""
-    boxes = [item.getAABB() for item in objects]
-    return np.array([[box.min_ for box in boxes], [box.max_ for box in boxes]]).reshape(2, -1, 3)
 
 
 def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
     """The robot's geometry and what it carries, with the pairs to check."""
     geometry = robot.collision_model.copy()
     hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
-    carried = [
-        [
-            geometry.addGeometryObject(_carried(piece, hand))
-            for piece in solids(item.name, item.shape, item.T_hand_object, most_balls=0)
-        ]
-        for item in attachments
-    ]
+    carried = []
+    for item in attachments:
+        pieces = solids(item.name, item.shape, item.T_hand_object, most_balls=0)
+        carried.append([geometry.addGeometryObject(_carried(piece, hand)) for piece in pieces])
     for i, k in carried_pairs(robot, attachments):
         for piece in carried[k]:
             geometry.addCollisionPair(pin.CollisionPair(i, piece))
@@ -247,22 +219,13 @@ def _carried(piece: Solid, hand: pin.Frame) -> pin.GeometryObject:
     return pin.GeometryObject(piece.name, hand.parentJoint, placement, piece.shape)
 
 
-def _near_in_tree(robot: Robot, a: int, b: int) -> bool:
-    """Whether two joints are the same, or parent and child: their links always stay close."""
-    parents = robot.model.parents
-    return a == b or parents[a] == b or parents[b] == a
-
-
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
     """(link piece, attachment) index pairs that can touch; neighbours of the hand are left out."""
-    frame = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
+    parents = robot.model.parents
+    hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)].parentJoint
     joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
-    return [
-        (i, k)
-        for k in range(len(attachments))
-        for i, joint in enumerate(joints)
-        if not _near_in_tree(robot, joint, frame.parentJoint)
-    ]
+    near = [joint == hand or parents[joint] == hand or parents[hand] == joint for joint in joints]
+    return [(i, k) for k in range(len(attachments)) for i in range(len(joints)) if not near[i]]
 
 
 def reach_with(robot: Robot, attachments: Sequence[Attachment]) -> float:

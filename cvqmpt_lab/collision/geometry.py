@@ -22,13 +22,7 @@ from cvqmpt_lab.collision.distance_grid import (
 )
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
-from cvqmpt_lab.collision.sphere_cover import (
-    LARGEST_RADIUS,
-    MOST_PIECES,
-    Piece,
-    cut_into_pieces,
-    sphere_tree,
-)
+from cvqmpt_lab.collision.sphere_cover import LARGEST_RADIUS, MOST_PIECES, Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.robot.kinematics import Kinematics
 
 CELL = 0.04  # [m] of the distance grid
@@ -37,47 +31,31 @@ CELL = 0.04  # [m] of the distance grid
 class RobotGeometry(NamedTuple):
     """Convex pieces of a robot, its attachments included."""
 
-    pieces: ConvexShapes
-    """m convex pieces in their link frames."""
-    owner: Annotated[np.ndarray, "int64 pieces"]
-    """Geometry of each piece."""
-    sphere: Annotated[np.ndarray, "balls 4"]
-    """Balls of all bodies, see `SphereTree` [m]."""
-    skip: Annotated[np.ndarray, "int64 balls"]
-    """See `SphereTree`."""
-    leaf: Annotated[np.ndarray, "int64 balls"]
-    """Piece in each ball, or -1."""
-    body_link: Annotated[np.ndarray, "int64 bodies"]
-    """Pose row of each body."""
-    body_start: Annotated[np.ndarray, "int64 bodies"]
-    """First ball of each body."""
-    body_end: Annotated[np.ndarray, "int64 bodies"]
-    """After its last ball."""
-    order: Annotated[np.ndarray, "int64 checked"]
-    """Bodies to check against obstacles, tip first."""
-    pairs: Annotated[np.ndarray, "int64 pairs 2"]
-    """Bodies to check against each other."""
-    largest: float
-    """Radius of the largest ball at a leaf [m]."""
+    pieces: ConvexShapes  # m convex pieces in their link frames
+    owner: Annotated[np.ndarray, "int64 pieces"]  # Geometry of each piece
+    sphere: Annotated[np.ndarray, "balls 4"]  # Balls of all bodies, see `SphereTree` [m]
+    skip: Annotated[np.ndarray, "int64 balls"]  # See `SphereTree`
+    leaf: Annotated[np.ndarray, "int64 balls"]  # Piece in each ball, or -1
+    body_link: Annotated[np.ndarray, "int64 bodies"]  # Pose row of each body
+    body_start: Annotated[np.ndarray, "int64 bodies"]  # First ball of each body
+    body_end: Annotated[np.ndarray, "int64 bodies"]  # After its last ball
+    order: Annotated[np.ndarray, "int64 checked"]  # Bodies to check against obstacles, tip first
+    pairs: Annotated[np.ndarray, "int64 pairs 2"]  # Bodies to check against each other
+    largest: float  # Radius of the largest ball at a leaf [m]
 
 
 class SceneGeometry(NamedTuple):
     """Obstacles and clusters of a cloud's grains, with their grid."""
 
-    shapes: ConvexShapes
-    """All items."""
-    bounds: Annotated[np.ndarray, "items 16"]
-    """Oriented boxes around them, see `distance_grid`."""
-    owner: Annotated[np.ndarray, "int64 items"]
-    """Obstacle of each item; clouds are counted after the shapes."""
+    shapes: ConvexShapes  # All items
+    bounds: Annotated[np.ndarray, "items 16"]  # Oriented boxes around them, see `distance_grid`
+    owner: Annotated[np.ndarray, "int64 items"]  # Obstacle of each item; clouds are counted after the shapes
     grain_start: Annotated[np.ndarray, "int64 ranges"]
     """Range of each item's grains; empty for a shape, which is solid."""
     grains: Annotated[np.ndarray, "grains 6"]
     """Boxes in the frames of their items: centres and half edges [m]."""
-    grid: DistanceGrid
-    """Distances over the robot's reach."""
-    reach: float
-    """Largest ball whose neighbours the grid lists [m]."""
+    grid: DistanceGrid  # Distances over the robot's reach
+    reach: float  # Largest ball whose neighbours the grid lists [m]
 
 
 def robot_geometry(
@@ -194,8 +172,9 @@ def scene_geometry(
     solid = pack_shapes(specs)
     clusters = cluster_grains(clouds, cell)
     shapes = _with_boxes(solid, clusters)
-    bounds = np.concatenate([_bounds(specs).reshape(-1, COLUMNS), _box_bounds(clusters)])
-    count = len(specs)
+    turn, count = clusters.rotation.reshape(-1, 9), len(specs)
+    boxes = np.column_stack([turn, clusters.centre, clusters.half, clusters.radius])
+    bounds = np.concatenate([_bounds(specs), boxes])
     return SceneGeometry(
         shapes=shapes,
         bounds=bounds,
@@ -224,12 +203,6 @@ def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
         row[:CENTRE], row[CENTRE:HALF] = R.ravel(), R @ middle + spec.T_owner_shape[:3, 3]
         row[HALF:SWELLING] = half
     return rows
-
-
-def _box_bounds(clusters: Clusters) -> np.ndarray:
-    """The boxes of clusters as bounds (n, COLUMNS)."""
-    n = len(clusters.cloud)
-    return np.column_stack([clusters.rotation.reshape(n, 9), clusters.centre, clusters.half, clusters.radius])
 
 
 def _with_boxes(shapes: ConvexShapes, clusters: Clusters) -> ConvexShapes:

@@ -13,14 +13,11 @@ import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 
-LONGEST = 0.2
-"""[rad] half of a stretch that is tried first."""
-FINEST = 1e-4
-"""[rad] half of a stretch that is passed when it cannot be proven and its middle is free."""
+LONGEST = 0.2  # [rad] half of a stretch that is tried first
+FINEST = 1e-4  # [rad] half of a stretch that is passed when it cannot be proven and its middle is free
 DOUBTFUL = 0.01
 """[rad] half of a stretch, or less, whose middle is asked for a collision when it cannot be proven."""
-PARTS = 2
-"""Into which such a stretch is cut."""
+PARTS = 2  # Into which such a stretch is cut
 BATCH = 64
 """Stretches looked at together; they are next to each other, so that little is wasted before a collision."""
 
@@ -29,16 +26,12 @@ BATCH = 64
 class MotionProof:
     """What is known of a motion."""
 
-    colliding: np.ndarray | None
-    """(n,), the first colliding configuration found, or None."""
+    colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
     unproven: float
     """Length of the longest stretch that was passed without a proof [rad]; 0 when there is none."""
-    tightest: np.ndarray
-    """(k, n), middles of all stretches, those proven with the least room first."""
-    looks: int
-    """Configurations looked at."""
-    unproven_at: np.ndarray | None = None
-    """(n,), the middle of the longest such stretch."""
+    tightest: np.ndarray  # (k, n), middles of all stretches, those proven with the least room first
+    looks: int  # Configurations looked at
+    unproven_at: np.ndarray | None = None  # (n,), the middle of the longest such stretch
 
 
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:

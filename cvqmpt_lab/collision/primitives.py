@@ -7,14 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.separation import (
-    BOX,
-    CYLINDER,
-    HULL,
-    MAX_HULL_VERTICES,
-    SPHERE,
-    ConvexShapes,
-)
+from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, MAX_HULL_VERTICES, SPHERE, ConvexShapes
 from cvqmpt_lab.collision.sphere_cover import convex_hull
 from cvqmpt_lab.errors import InvalidInputError
 
@@ -24,14 +17,11 @@ _PRISM_SIDES = 16
 class ShapeSpec(NamedTuple):
     """One convex shape in plain numbers."""
 
-    kind: int
-    """HULL, BOX, CYLINDER or SPHERE."""
+    kind: int  # HULL, BOX, CYLINDER or SPHERE
     size: tuple[float, ...]
     """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a hull [m]."""
-    vertices: np.ndarray
-    """(n, 3) of a hull in the shape's frame, else (0, 3) [m]."""
-    T_owner_shape: np.ndarray
-    """(4, 4) pose in the frame of the link or the world."""
+    vertices: np.ndarray  # (n, 3) of a hull in the shape's frame, else (0, 3) [m]
+    T_owner_shape: np.ndarray  # (4, 4) pose in the frame of the link or the world
 
 
 def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:

@@ -139,21 +139,15 @@ class ConvexShapes(NamedTuple):
     Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's frame.
     """
 
-    kind: Annotated[np.ndarray, "int64 shapes"]
-    """HULL, BOX, CYLINDER (axis z) or SPHERE."""
+    kind: Annotated[np.ndarray, "int64 shapes"]  # HULL, BOX, CYLINDER (axis z) or SPHERE
     size: Annotated[np.ndarray, "shapes 3"]
     """Half sizes of a box; (radius, radius, half length) of a cylinder; largest absolute
     coordinates of a hull; zeros for a sphere [m]."""
-    radius: Annotated[np.ndarray, "shapes"]
-    """Swelling of the core [m]; for a sphere its radius."""
-    rotation: Annotated[np.ndarray, "shapes 3 3"]
-    """Orientation of the core in its owner's frame."""
-    translation: Annotated[np.ndarray, "shapes 3"]
-    """Position of the core in its owner's frame [m]."""
-    vertex_start: Annotated[np.ndarray, "int64 shapes"]
-    """First column of ``vertices``."""
-    vertex_count: Annotated[np.ndarray, "int64 shapes"]
-    """Number of columns of ``vertices``."""
+    radius: Annotated[np.ndarray, "shapes"]  # Swelling of the core [m]; for a sphere its radius
+    rotation: Annotated[np.ndarray, "shapes 3 3"]  # Orientation of the core in its owner's frame
+    translation: Annotated[np.ndarray, "shapes 3"]  # Position of the core in its owner's frame [m]
+    vertex_start: Annotated[np.ndarray, "int64 shapes"]  # First column of ``vertices``
+    vertex_count: Annotated[np.ndarray, "int64 shapes"]  # Number of columns of ``vertices``
     vertices: Annotated[np.ndarray, "3 vertices"]
     """Packed hull vertices, one row a coordinate so that the support loop vectorises [m]."""
 
@@ -330,22 +324,5 @@ def box_separated(a, i, half, radius, pose, axis, margin):
     size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
     pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
     limit = margin + swelling
-    gap = _gjk(
-        a.kind[i],
-        size,
-        x,
-        y,
-        z,
-        pose_a,
-        np.int64(BOX),
-        half,
-        x,
-        y,
-        z,
-        pose,
-        axis,
-        limit,
-        limit,
-        1e-9,
-    )
+    gap = _gjk(a.kind[i], size, x, y, z, pose_a, np.int64(BOX), half, x, y, z, pose, axis, limit, limit, 1e-9)
     return gap > limit

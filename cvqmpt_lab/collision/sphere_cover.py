@@ -22,23 +22,17 @@ SLACK = 1e-8  # [m] added to every ball: more than FLAT and the rounding of its 
 class Piece(NamedTuple):
     """One leaf of a sphere tree."""
 
-    points: np.ndarray
-    """(k, 3), whose hull, swelled, holds the piece [m]."""
-    swelling: float
-    """[m]"""
-    number: int
-    """The caller's number for it."""
+    points: np.ndarray  # (k, 3), whose hull, swelled, holds the piece [m]
+    swelling: float  # [m]
+    number: int  # The caller's number for it
 
 
 class SphereTree(NamedTuple):
     """Balls in preorder: one that is cleared clears all nodes up to its `skip`."""
 
-    sphere: np.ndarray
-    """(k, 4) centre and radius [m]."""
-    skip: np.ndarray
-    """(k,) int64 next node outside the subtree."""
-    leaf: np.ndarray
-    """(k,) int64 number of the piece inside the ball, -1 for inner nodes."""
+    sphere: np.ndarray  # (k, 4) centre and radius [m]
+    skip: np.ndarray  # (k,) int64 next node outside the subtree
+    leaf: np.ndarray  # (k,) int64 number of the piece inside the ball, -1 for inner nodes
 
 
 @entry
@@ -81,10 +75,8 @@ def enclosing_sphere(points: np.ndarray, rounds: int = 200) -> tuple[np.ndarray,
 class Hull(NamedTuple):
     """A convex hull."""
 
-    corners: np.ndarray
-    """(k, 3) [m]."""
-    edges: np.ndarray
-    """(e, 2) pairs of corners that include all its edges."""
+    corners: np.ndarray  # (k, 3) [m]
+    edges: np.ndarray  # (e, 2) pairs of corners that include all its edges
 
 
 def convex_hull(points: np.ndarray) -> Hull:

@@ -12,24 +12,18 @@ from cvqmpt_lab.robot.robot import Robot
 BEND = 2.81
 """No entry of the rotation vector has a larger second derivative, per squared sum of the joints' turns: the left
 Jacobian's inverse is at most pi / 2, its derivative 1.29, and the angular velocity changes at most by half."""
-RATE = 0.5 * np.pi
-"""Nor a larger first one, up to angle pi, where the rotation vector changes its sign."""
-MOST_PARTS, ROUNDS = 8, 4
-"""Into how many a stretch is cut at once, and how often."""
+RATE = 0.5 * np.pi  # Nor a larger first one, up to angle pi, where the rotation vector changes its sign
+MOST_PARTS, ROUNDS = 8, 4  # Into how many a stretch is cut at once, and how often
 
 
 @dataclass(frozen=True)
 class Violation:
     """Largest distance outside the bounds of regions, at the states looked at."""
 
-    radians: float
-    """[rad]"""
-    metres: float
-    """[m]"""
-    largest: float
-    """Bound on either at any state, between those looked at too [m, rad]."""
-    at: np.ndarray | None
-    """(n,), the worst state, or None without regions."""
+    radians: float  # [rad]
+    metres: float  # [m]
+    largest: float  # Bound on either at any state, between those looked at too [m, rad]
+    at: np.ndarray | None  # (n,), the worst state, or None without regions
 
 
 def largest_violation(
@@ -84,18 +78,12 @@ def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
 class _Use:
     """A region along m states, and the m - 1 stretches between them."""
 
-    x: np.ndarray
-    """(m, 6) displacements [m, rad]."""
-    outside: np.ndarray
-    """(m,) distance outside the bounds, negative inside [m, rad]."""
-    radians: float
-    """Largest of the rotation entries [rad]."""
-    metres: float
-    """Largest of the positions [m]."""
-    highest: np.ndarray
-    """(m - 1,) the larger `outside` of a stretch's ends [m, rad]."""
-    between: np.ndarray
-    """(m - 1,) what may be added inside the stretch [m, rad]."""
+    x: np.ndarray  # (m, 6) displacements [m, rad]
+    outside: np.ndarray  # (m,) distance outside the bounds, negative inside [m, rad]
+    radians: float  # Largest of the rotation entries [rad]
+    metres: float  # Largest of the positions [m]
+    highest: np.ndarray  # (m - 1,) the larger `outside` of a stretch's ends [m, rad]
+    between: np.ndarray  # (m - 1,) what may be added inside the stretch [m, rad]
     flips: np.ndarray
     """(m - 1,) bool, where the rotation vector may change its sign: what may be added is then of first order."""
 

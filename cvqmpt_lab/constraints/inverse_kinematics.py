@@ -78,14 +78,10 @@ def first_guesses(
 class GoalSample:
     """What sampling a goal region brought."""
 
-    configurations: np.ndarray
-    """(k, n), free of collision [rad or m]."""
-    poses_tried: int
-    """Poses drawn."""
-    unreachable: int
-    """Poses without an inverse-kinematics solution."""
-    colliding: int
-    """Poses with solutions, none of them free of collision."""
+    configurations: np.ndarray  # (k, n), free of collision [rad or m]
+    poses_tried: int  # Poses drawn
+    unreachable: int  # Poses without an inverse-kinematics solution
+    colliding: int  # Poses with solutions, none of them free of collision
 
     @property
     def outcome(self) -> str:

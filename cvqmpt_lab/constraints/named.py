@@ -20,10 +20,8 @@ Tolerance = Annotated[float, Such(float, lambda x: x >= 0.0, "0 or more", {"mini
 class Upright:
     """An axis of the end effector points up; yaw about it and position are free."""
 
-    tilt: Tolerance = 0.1
-    """[rad]."""
-    axis: Literal["x", "-x", "y", "-y", "z", "-z"] = "x"
-    """Axis of the end-effector frame."""
+    tilt: Tolerance = 0.1  # [rad]
+    axis: Literal["x", "-x", "y", "-y", "z", "-z"] = "x"  # Axis of the end-effector frame
 
     def region(self) -> TaskSpaceRegion:
         """In full."""
@@ -41,12 +39,9 @@ def upper_axis(T_world_hand: np.ndarray) -> str:
 class FixedOrientation:
     """The end effector is turned as said; its position is free."""
 
-    tolerance: Tolerance
-    """Of each entry of the rotation vector from that orientation [rad]."""
-    rpy: Vector | None = None
-    """Roll, pitch, yaw about the world's x, y, z [rad]."""
-    quaternion: tuple[float, float, float, float] | None = None
-    """The same as x, y, z, w."""
+    tolerance: Tolerance  # Of each entry of the rotation vector from that orientation [rad]
+    rpy: Vector | None = None  # Roll, pitch, yaw about the world's x, y, z [rad]
+    quaternion: tuple[float, float, float, float] | None = None  # The same as x, y, z, w
 
     def region(self) -> TaskSpaceRegion:
         """In full."""
@@ -58,12 +53,9 @@ class FixedOrientation:
 class Plane:
     """The end effector's origin stays in a plane; it turns freely."""
 
-    normal: Vector
-    """Of any length."""
-    point: Vector
-    """A point of the plane [m]."""
-    tolerance: Tolerance = 0.0
-    """To both sides [m]."""
+    normal: Vector  # Of any length
+    point: Vector  # A point of the plane [m]
+    tolerance: Tolerance = 0.0  # To both sides [m]
 
     def region(self) -> TaskSpaceRegion:
         """In full."""
@@ -74,12 +66,9 @@ class Plane:
 class Line:
     """The end effector's origin stays on a line; it turns freely."""
 
-    direction: Vector
-    """Of any length."""
-    point: Vector
-    """A point of the line [m]."""
-    tolerance: Tolerance = 0.0
-    """Across the line, in each of two directions [m]."""
+    direction: Vector  # Of any length
+    point: Vector  # A point of the line [m]
+    tolerance: Tolerance = 0.0  # Across the line, in each of two directions [m]
 
     def region(self) -> TaskSpaceRegion:
         """In full."""
@@ -91,14 +80,10 @@ class Line:
 class Near:
     """The end effector stands at a pose, or close to it."""
 
-    at: Pose
-    """Its pose in the world."""
-    position: Tolerance = 0.0
-    """Of x, y and z [m]."""
-    tilt: Tolerance = 0.0
-    """About the world's x and y [rad]."""
-    yaw: Tolerance = 0.0
-    """About the world's vertical [rad]; 3.15 leaves it free."""
+    at: Pose  # Its pose in the world
+    position: Tolerance = 0.0  # Of x, y and z [m]
+    tilt: Tolerance = 0.0  # About the world's x and y [rad]
+    yaw: Tolerance = 0.0  # About the world's vertical [rad]; 3.15 leaves it free
 
     def region(self) -> TaskSpaceRegion:
         """In full."""

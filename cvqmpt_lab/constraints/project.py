@@ -1,13 +1,14 @@
-"""Newton projection onto a constraint manifold: the paper's Algorithm 1 with its missing inverse.
+"""Project (the paper's Algorithm 1): Newton's method onto the constraint manifold {q : F(q) = 0}.
 
-    q <- q - J^T (J J^T)^-1 F(q),  until |F(q)| <= tolerance.
+    while |F(q)| > tol:   q <- q - J(q)^+ F(q),    J^+ = J^T (J J^T)^-1
 
-Only rows outside their bounds enter a step (the others are zero), J J^T is damped a little so that
-zero and dependent rows do no harm. A joint that stands at a limit and would be pushed beyond it is held
-and the step computed again without it; what still leaves the limits is clipped.
+F (m,) and J (m, n) are the residual and Jacobian of task-space regions, see `regions` [m, rad]; the paper prints J
+for J^+. Only rows outside their bounds enter a step (the others are zero); J J^T is damped a little, so that zero and
+dependent rows do no harm. A joint that stands at a limit and would be pushed beyond it is held and the step computed
+again without it; what still leaves the limits is clipped.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -17,43 +18,27 @@ from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 DAMPING = 1e-9  # relative to the trace of J J^T
 LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm
-STALLED = 0.9  # an attempt in a hurry ends with the first step that leaves more than this share of |F|
+STALLED = 0.9  # with stop_on_stall, the first step that leaves more than this share of |F| is the last
 
 
 class ProjectionScratch(NamedTuple):
     """Work arrays of a projection with n joints, k regions and m bounded rows."""
 
-    link_rotation: Annotated[np.ndarray, "p 3 3"]
-    """Link poses."""
-    link_translation: Annotated[np.ndarray, "p 3"]
-    """Link poses [m]."""
-    displacement: Annotated[np.ndarray, "k 9"]
-    """What `residual` leaves for `jacobian`."""
-    residual: Annotated[np.ndarray, "m"]
-    """[m, rad]."""
-    jacobian: Annotated[np.ndarray, "m n"]
-    """(m, n)."""
-    normal: Annotated[np.ndarray, "m m"]
-    """Normal matrix of Newton's method, factorised."""
-    multiplier: Annotated[np.ndarray, "m"]
-    """Its solution."""
-    step: Annotated[np.ndarray, "n"]
-    """Newton step [rad or m]."""
+    link_rotation: Annotated[np.ndarray, "p 3 3"]  # Link poses
+    link_translation: Annotated[np.ndarray, "p 3"]  # Link poses [m]
+    displacement: Annotated[np.ndarray, "k 9"]  # What `residual` leaves for `jacobian`
+    residual: Annotated[np.ndarray, "m"]  # [m, rad]
+    jacobian: Annotated[np.ndarray, "m n"]  # (m, n)
+    normal: Annotated[np.ndarray, "m m"]  # Normal matrix of Newton's method, factorised
+    multiplier: Annotated[np.ndarray, "m"]  # Its solution
+    step: Annotated[np.ndarray, "n"]  # Newton step [rad or m]
 
 
 def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
     """Work arrays for n joints and the m bounded rows of regions."""
     m = len(regions.axis)
-    return ProjectionScratch(
-        np.zeros((n + 1, 3, 3)),
-        np.zeros((n + 1, 3)),
-        np.zeros((len(regions.link), 9)),
-        np.zeros(m),
-        np.zeros((m, n)),
-        np.zeros((m, m)),
-        np.zeros(m),
-        np.zeros(n),
-    )
+    shapes: tuple[Any, ...] = (n + 1, 3, 3), (n + 1, 3), (len(regions.link), 9), m, (m, n), (m, m), m, n
+    return ProjectionScratch(*map(np.zeros, shapes))
 
 
 @kernel(inline="source")
@@ -122,8 +107,8 @@ def _hold_joints_at_limits(kinematics, q, scratch):
 
 
 @kernel(inline="source")
-def newton(kinematics, regions, q, tolerance, max_iterations, hurry, scratch):
-    """Move q (n,) in place as `project` does; hurry: give up as soon as the residual stalls."""
+def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch):
+    """Move q (n,) in place as `project` does; stop_on_stall: give up as soon as |F| hardly falls."""
     for j in range(q.shape[0]):
         q[j] = min(max(q[j], kinematics.lower[j]), kinematics.upper[j])
     rotation, translation = scratch.link_rotation, scratch.link_translation
@@ -133,20 +118,12 @@ def newton(kinematics, regions, q, tolerance, max_iterations, hurry, scratch):
         square = residual(regions, rotation, translation, scratch.residual, scratch.displacement)
         if square <= tolerance * tolerance:
             return iteration
-        stalled = hurry and square > STALLED * STALLED * before
+        stalled = stop_on_stall and square > STALLED * STALLED * before
         if iteration == max_iterations or stalled or not np.isfinite(square):
             return -1 - iteration
         before = square
-        jacobian(
-            kinematics,
-            regions,
-            rotation,
-            translation,
-            scratch.displacement,
-            False,
-            scratch.residual,
-            scratch.jacobian,
-        )
+        outside, J = scratch.residual, scratch.jacobian
+        jacobian(kinematics, regions, rotation, translation, scratch.displacement, False, outside, J)
         for _ in range(2):
             newton_step(scratch, scratch.step)
             if not _hold_joints_at_limits(kinematics, q, scratch):
@@ -212,7 +189,6 @@ def reach_poses(
             regions.reference_translation[0, row] = translations[i, row]
             for column in range(3):
                 regions.reference_rotation[0, row, column] = rotations[i, row, column]
-        for attempt in range(configurations.shape[1]):
-            iterations[i, attempt] = project(
-                kinematics, regions, configurations[i, attempt], tolerance, max_iterations, scratch
-            )
+        for k in range(configurations.shape[1]):
+            q = configurations[i, k]
+            iterations[i, k] = project(kinematics, regions, q, tolerance, max_iterations, scratch)

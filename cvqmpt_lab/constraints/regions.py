@@ -1,11 +1,16 @@
-"""The rotation logarithm and the inverse of its left Jacobian, well-behaved from angle 0 to pi.
+"""Residual F(q) and Jacobian J(q) of stacked task-space regions, compiled, on plain arrays.
 
-With R = exp([e]x) and a body turning with angular velocity w (expressed in the frame R maps into),
-de/dt = Jl^-1(e) w, where
+A region bounds the pose of an end frame e seen from a reference frame w (Berenson et al. 2011):
+
+    T = (T0_w)^-1  T0_e  (Tw_e)^-1,    x = (translation of T, rotation vector of T),
+
+F = signed distance of x outside [lower, upper], zero inside. Several regions stack their rows: their intersection. No
+rows at all is the unconstrained problem. The rotation vector e of R = exp([e]x) has de/dt = Jl^-1(e) w, with the
+angular velocity w in the frame that R maps into, and
 
     Jl^-1(e) = I - [e]x / 2 + (1 / t^2 - cot(t / 2) / (2 t)) [e]x^2,    t = |e|.
 
-The half-angle cotangent stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 / 0.
+The cotangent of half the angle stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 / 0.
 """
 
 from typing import Annotated, NamedTuple
@@ -57,30 +62,19 @@ def log_map_factor(e):
     return 1.0 / square - 0.5 / (angle * np.tan(0.5 * angle)), square
 
 
-# Residual and Jacobian of stacked task-space regions, on plain arrays.
 class Regions(NamedTuple):
     """k stacked regions with m bounded rows in all; rows are sorted by region, then axis."""
 
-    link: Annotated[np.ndarray, "int64 k"]
-    """Pose row carrying the end frame."""
-    base: Annotated[np.ndarray, "int64 k"]
-    """Pose row carrying the reference frame (0 = world)."""
-    end_rotation: Annotated[np.ndarray, "k 3 3"]
-    """Rotation of T_link_e (Tw_e)^-1."""
-    end_translation: Annotated[np.ndarray, "k 3"]
-    """Its translation [m]."""
-    reference_rotation: Annotated[np.ndarray, "k 3 3"]
-    """Rotation of T_base_w."""
-    reference_translation: Annotated[np.ndarray, "k 3"]
-    """Its translation [m]."""
-    region: Annotated[np.ndarray, "int64 m"]
-    """Region of each row."""
-    axis: Annotated[np.ndarray, "int64 m"]
-    """0-2 position, 3-5 rotation vector."""
-    lower: Annotated[np.ndarray, "m"]
-    """Bounds [m or rad]."""
-    upper: Annotated[np.ndarray, "m"]
-    """Bounds [m or rad]."""
+    link: Annotated[np.ndarray, "int64 k"]  # Pose row carrying the end frame
+    base: Annotated[np.ndarray, "int64 k"]  # Pose row carrying the reference frame (0 = world)
+    end_rotation: Annotated[np.ndarray, "k 3 3"]  # Rotation of T_link_e (Tw_e)^-1
+    end_translation: Annotated[np.ndarray, "k 3"]  # Its translation [m]
+    reference_rotation: Annotated[np.ndarray, "k 3 3"]  # Rotation of T_base_w
+    reference_translation: Annotated[np.ndarray, "k 3"]  # Its translation [m]
+    region: Annotated[np.ndarray, "int64 m"]  # Region of each row
+    axis: Annotated[np.ndarray, "int64 m"]  # 0-2 position, 3-5 rotation vector
+    lower: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
+    upper: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
 
 
 @kernel(inline="machine")
@@ -118,11 +112,7 @@ def _displacement(regions, k, link_rotation, link_translation):
     link, base = regions.link[k], regions.base[k]
     offset, origin = regions.end_translation, regions.reference_translation
     x, y, z = _turned(link_rotation, link, offset[k, 0], offset[k, 1], offset[k, 2])
-    end = (
-        x + link_translation[link, 0],
-        y + link_translation[link, 1],
-        z + link_translation[link, 2],
-    )
+    end = (x + link_translation[link, 0], y + link_translation[link, 1], z + link_translation[link, 2])
     x, y, z = _turned(link_rotation, base, origin[k, 0], origin[k, 1], origin[k, 2])
     position = _into_reference(
         regions,

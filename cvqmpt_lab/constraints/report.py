@@ -17,16 +17,11 @@ UNITS = ("m",) * 3 + ("rad",) * 3
 class BoundUse:
     """The state of a path that stands closest to a bound of one entry of one region, or furthest beyond it."""
 
-    region: int
-    """Which of the regions, from 0."""
-    row: int
-    """Which row of its `Bw`, 0 to 5."""
-    value: float
-    """Displacement there [m] or [rad]."""
-    lower: float
-    """Lower bound, -inf where there is none [m] or [rad]."""
-    upper: float
-    """Upper bound, inf where there is none [m] or [rad]."""
+    region: int  # Which of the regions, from 0
+    row: int  # Which row of its `Bw`, 0 to 5
+    value: float  # Displacement there [m] or [rad]
+    lower: float  # Lower bound, -inf where there is none [m] or [rad]
+    upper: float  # Upper bound, inf where there is none [m] or [rad]
 
     @property
     def excess(self) -> float:

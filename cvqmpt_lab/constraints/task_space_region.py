@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -66,10 +66,8 @@ class BoundsForm:
 class TaskSpaceRegion(Checked):
     """Poses of the end effector e seen from a frame w, within bounds."""
 
-    T0_w: Pose
-    """(4, 4), pose of w in the world."""
-    Tw_e: Pose
-    """(4, 4), pose of e in w when the displacement is zero."""
+    T0_w: Pose  # (4, 4), pose of w in the world
+    Tw_e: Pose  # (4, 4), pose of e in w when the displacement is zero
     Bw: Annotated[FloatArray, BoundsForm()]
     """(6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad]; +-inf (null in json)
     leaves an entry free, a rotation entry also when it spans [-pi, pi]."""
@@ -89,12 +87,8 @@ class TaskSpaceRegion(Checked):
         limit = np.array([np.inf] * 3 + [np.pi] * 3)
         return np.flatnonzero((lower > -limit) | (upper < limit))
 
-    def sample_pose(self, rng: np.random.Generator) -> np.ndarray:
-        """A pose T_world_e (4, 4) drawn uniformly between the bounds; free entries stay at zero or +-pi."""
-        return self.sample_poses(rng, 1)[0]
-
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Poses (count, 4, 4) as `sample_pose` would draw them one by one."""
+        """Poses T_world_e (count, 4, 4) drawn uniformly between the bounds; free turns within +-pi."""
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
             raise InvalidInputError(
@@ -116,6 +110,32 @@ class TaskSpaceRegion(Checked):
         T_w_displaced[:, :3, :3] = rotation_matrices(x[:, 3:])
         T_w_displaced[:, :3, 3] = x[:, :3]
         return self.T0_w @ T_w_displaced @ self.Tw_e
+
+
+@dataclass(frozen=True, eq=False)
+class TaskSpaceRegionChain(TaskSpaceRegion):
+    """A region that hangs on a link which the robot moves (TSR chain): poses of e seen from a frame w of that link.
+
+    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
+    through one region to the end effector. Those joints are joints of the robot (see
+    `with_articulated_object`) and free within their limits.
+    `T0_w` is the pose of w in the base frame, so that `sample_poses` gives poses in the base frame too.
+    """
+
+    base: Name  # Name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
+
+    def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
+        """Pose row that carries frame w, and T_link_w (4, 4); UnknownChoiceError when there is no such base."""
+        row, T_link_base = robot.link_of(self.base)
+        return row, T_link_base @ self.T0_w
+
+    def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """T_world_w (k, 4, 4) at configurations q (k, n), by pinocchio."""
+        return robot.poses(q, self.base) @ self.T0_w
+
+    def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
+        """The region in the world while the base stands at a pose (4, 4)."""
+        return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw)
 
 
 @lru_cache(maxsize=16)
@@ -143,21 +163,12 @@ class RegionConstraint:
     robot: Robot
     members: tuple[TaskSpaceRegion, ...]
 
-    @property
-    def dim(self) -> int:
-        """Number m of bounded rows."""
-        return sum(len(member.bounded_rows) for member in self.members)
-
     def residual(self, q: np.ndarray) -> np.ndarray:
         """Signed distance outside the bounds, (m,) or (b, m) [m, rad]."""
         return self.residual_and_jacobian(q)[0]
 
-    def jacobian(self, q: np.ndarray, full: bool = False) -> np.ndarray:
-        """Derivative of the residual, (m, n) or (b, m, n)."""
-        return self.residual_and_jacobian(q, full)[1]
-
     def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Both, (m,) and (m, n) or (b, m) and (b, m, n)."""
+        """F(q) and dF/dq, (m,) and (m, n) or (b, m) and (b, m, n); rows inside their bounds are zero unless full."""
         batch = np.array(q, dtype=float, order="C", ndmin=2)
         n, regions = self.robot.dof, self.regions
         scratch = projection_scratch(n, regions)
@@ -170,7 +181,7 @@ class RegionConstraint:
     def project(
         self, q: np.ndarray, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
     ) -> np.ndarray | None:
-        """Algorithm 1 of the paper with its missing inverse, inside the joint limits; None when it fails."""
+        """Move q (n,) onto the manifold by Algorithm 1, inside the joint limits; None when it fails."""
         q = np.array(q, dtype=float)
         regions = self.regions
         scratch = projection_scratch(self.robot.dof, regions)
@@ -208,45 +219,3 @@ def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: floa
         lower=bounds[:, 0] + inset,
         upper=bounds[:, 1] - inset,
     )
-
-
-# Task-space regions that hang on something the robot moves (TSR chains; Berenson et al. 2011).
-@dataclass(frozen=True, eq=False)
-class TaskSpaceRegionChain(TaskSpaceRegion):
-    """Poses of the end effector e seen from a frame w that a link of the robot carries, within bounds.
-
-    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
-    through one region to the end effector. Those joints are joints of the robot (see
-    `with_articulated_object`) and free within their limits.
-    `T0_w` is the pose of w in the base frame, so that `sample_pose` gives poses in the base frame too.
-    """
-
-    base: Name
-    """Name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"."""
-
-    def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w, and T_link_w (4, 4); UnknownChoiceError when there is no such base."""
-        row, T_link_base = robot.link_of(self.base)
-        return row, T_link_base @ self.T0_w
-
-    def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w (k, 4, 4) at configurations q (k, n), by pinocchio."""
-        return robot.poses(q, self.base) @ self.T0_w
-
-    def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
-        """The region in the world while the base stands at a pose (4, 4)."""
-        return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw)
-
-
-# What the prediction may ask of a constraint F(q) = 0.
-class Constraint(Protocol):
-    """A constraint function on configurations, residual and Jacobian together.
-
-    A state satisfies it when |residual(q)| <= tolerance.
-    """
-
-    def residual(self, q: np.ndarray) -> np.ndarray:
-        """F(q), (m,) for one configuration (n,), (b, m) for a batch (b, n)."""
-
-    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """F(q) and dF/dq, (m, n) or (b, m, n); rows inside their bounds are zero unless full."""

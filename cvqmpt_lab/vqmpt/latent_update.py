@@ -18,7 +18,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import Constraint
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 
@@ -70,7 +70,7 @@ class LatentOptimizer:
         self.settings = LatentSettings() if settings is None else settings
         self._objective = LatentObjective(codebook)
 
-    def optimize(self, z0: np.ndarray, constraint: Constraint, rng: np.random.Generator) -> Optimized:
+    def optimize(self, z0: np.ndarray, constraint: RegionConstraint, rng: np.random.Generator) -> Optimized:
         """Move codes z0 (c, code_dim) towards a constraint; those that do not get better on fresh draws stay."""
         began = time.perf_counter()
         n = len(self._objective.range)
@@ -87,7 +87,7 @@ class LatentOptimizer:
         return Optimized(z, before, after, kept, steps, time.perf_counter() - began)
 
     def _descend(
-        self, z0: np.ndarray, constraint: Constraint, noise: np.ndarray
+        self, z0: np.ndarray, constraint: RegionConstraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Codes (c, code_dim) and steps (c,) by gradient steps, each back onto the unit sphere."""
         settings, z = self.settings, z0.astype(np.float64)
@@ -123,13 +123,13 @@ class LatentObjective:
         self.decoder = codebook.decoder
         self.lower, self.range = codebook.configurations.lower, codebook.configurations.range  # [rad or m]
 
-    def value(self, z: np.ndarray, constraint: Constraint, noise: np.ndarray) -> np.ndarray:
+    def value(self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray) -> np.ndarray:
         """E[G] (c,) of codes z (c, code_dim), with draws from standard normal noise (s, n)."""
         q = self._samples(self.decoder.decode(z), noise)
         return _mean_square(constraint.residual_and_jacobian(q)[0], (len(z), len(noise)))
 
     def value_and_gradient(
-        self, z: np.ndarray, constraint: Constraint, noise: np.ndarray
+        self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """E[G] (c,) and its gradient by z (c, code_dim)."""
         c, (s, n) = len(z), noise.shape

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cvqmpt_lab.constraints.task_space_region import Constraint
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
@@ -143,7 +143,7 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
     )
 
 
-def squared_residual(constraint: Constraint, q: np.ndarray) -> np.ndarray:
+def squared_residual(constraint: RegionConstraint, q: np.ndarray) -> np.ndarray:
     """F^T F (s,) of configurations (s, n) [rad]; zero where the constraint holds."""
     return np.square(constraint.residual(q)).sum(axis=1)
 

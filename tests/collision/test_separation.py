@@ -12,15 +12,7 @@ from cvqmpt_lab.collision.clusters import MOST_GRAINS, Cloud, cluster_grains
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
 from cvqmpt_lab.collision.geometry import robot_geometry, scene_geometry
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
-from cvqmpt_lab.collision.separation import (
-    BOX,
-    CYLINDER,
-    HULL,
-    IDENTITY,
-    SPHERE,
-    distance,
-    separating_gap,
-)
+from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, IDENTITY, SPHERE, distance, separating_gap
 from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.errors import InvalidInputError
 

@@ -52,7 +52,7 @@ def test_grasps_are_from_the_side():
     """Hand 0.11 m from the can's axis, pointing at it, 0.05 m above its centre, x up, yaw within 90 degrees."""
     com, rng, yaws = np.array([0.5, -0.2, 0.271]), np.random.default_rng(0), []
     for _ in range(200):
-        T = grasp_region(com).sample_pose(rng)
+        T = grasp_region(com).sample_poses(rng, 1)[0]
         np.testing.assert_allclose(T[:3, 0], (0.0, 0.0, 1.0), atol=1e-12)
         np.testing.assert_allclose(T[:3, 3] + 0.11 * T[:3, 2], com + (0.0, 0.0, 0.05), atol=1e-12)
         yaws.append(yaw_about_can(T))
@@ -62,7 +62,7 @@ def test_grasps_are_from_the_side():
 def test_the_carried_can_stands_upright_where_it_was_grasped():
     """Its axis is vertical through the centre of mass, its top 0.1475 m above, 5 mm of its bottom gone."""
     com, can = np.array([0.5, -0.2, 0.271]), carried_can()
-    T = grasp_region(com).sample_pose(np.random.default_rng(1)) @ can.T_hand_object
+    T = grasp_region(com).sample_poses(np.random.default_rng(1), 1)[0] @ can.T_hand_object
     np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(T[:2, 3], com[:2], atol=1e-12)
     assert T[2, 3] + can.shape.height / 2 == pytest.approx(0.271 + 0.0265 + 0.121)
