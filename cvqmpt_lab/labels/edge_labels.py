@@ -32,7 +32,7 @@ CLOUDS = (
 class Examples(NamedTuple):
     """Motions of one scene, those of no length being configurations."""
 
-    features: np.ndarray  # (b, n + 1), see `kernels.search.sight`
+    features: np.ndarray  # (b, n + 1), see `vqmpt.edge_model`
     odds: np.ndarray  # (b,) log odds by the model's own network
     free: np.ndarray  # (b,) bool
     edge: np.ndarray  # (b,) bool: a motion, not a configuration
