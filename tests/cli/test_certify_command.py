@@ -9,15 +9,11 @@ import pytest
 from command_line import refused
 
 from cli.main import main
-from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
-from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Cylinder
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
 from experiments.run import Experiment, executor_for, run_experiment
@@ -120,13 +116,8 @@ TAMPERED = {
     "a state 1 mm inside a shelf": (inside_by_1_mm, "collision", None),
     "a limit passed by 1e-3": (beyond_limit, "limits", MIDDLE),
     "a jump": (lambda p, s: np.delete(s, range(MIDDLE, MIDDLE + 12), axis=0), "step", MIDDLE - 1),
-    "a state repeated later": (
-        lambda p, s: np.insert(s, MIDDLE + 12, s[MIDDLE], axis=0),
-        "step",
-        MIDDLE + 12,
-    ),
+    "a state repeated later": (lambda p, s: np.insert(s, 52, s[MIDDLE], axis=0), "step", 52),
     "nan": (lambda p, s: changed(s, MIDDLE, np.nan), "shape", MIDDLE),
-    "infinity": (lambda p, s: changed(s, MIDDLE, np.inf), "shape", MIDDLE),
     "a start moved by 1e-5": (lambda p, s: changed(s, 0, 1e-5), "start", 0),
     "reversed": (lambda p, s: s[::-1], "start", 0),
     "cut short": (lambda p, s: s[:-5], "goal", -1),
@@ -145,30 +136,13 @@ def test_what_was_tampered_with_is_refused_and_found(judged, problem, states, ho
         assert abs(fault["state"] - (place if place >= 0 else len(tampered) - 1)) <= 1.0
 
 
-def test_a_swapped_goal_is_refused(judged, problem, states):
-    others = problem.goals[np.abs(problem.goals - states[-1]).max(axis=1) > 0.0][:1]
-    code, found = judged(states, replace(problem, goals=others, goal_region=None))
-    assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["goal"]
-
-
-def test_a_door_at_another_angle_is_run_into(judged, region_problem, states):
-    code, found = judged(states, replace(region_problem, scene=region_problem.scene.with_joint(DOOR, 0.0)))
+def test_a_path_into_a_closed_door_or_to_a_goal_2_mm_away_is_refused(judged, region_problem, states):
+    scene, region = region_problem.scene, region_problem.goal_region
+    code, found = judged(states, replace(region_problem, scene=scene.with_joint(DOOR, 0.0)))
     assert code == 1 and any("door_left" in fault["text"] for fault in found["faults"])
-
-
-def test_a_grasp_2_mm_from_where_the_goal_is_now_is_refused(judged, region_problem, states):
-    region = region_problem.goal_region
     moved = replace(region, T0_w=region.T0_w @ pose((0.0, 0.0, 2e-3)))
     code, found = judged(states, replace(region_problem, goal_region=moved))
     assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["goal"]
-
-
-def test_a_graze_of_a_thin_wire_names_both(judged, region_problem, states):
-    T = region_problem.robot.pose(states[MIDDLE]) @ pose((0.0, 0.0, 0.05))
-    wired = region_problem.scene.with_objects(SceneObject("wire", Cylinder(1e-4, 0.2), T))
-    code, found = judged(states, replace(region_problem, scene=wired))
-    (fault,) = found["faults"]
-    assert code == 1 and "wire" in fault["text"] and abs(fault["state"] - MIDDLE) < 12
 
 
 @pytest.mark.parametrize(("form", "name"), [(as_csv, "motion.csv"), (as_ros_json, "motion.json")])
@@ -206,16 +180,11 @@ def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     assert code == 1 and fault["kind"] == "velocity" and f"where the motion {words}" in fault["text"]
 
 
-def test_the_report_says_what_and_where(tmp_path, problem, states, capsys):
-    file = tmp_path / "path.csv"
-    np.savetxt(file, changed(states, MIDDLE, 0.5 * np.eye(7)[5]), delimiter=",", fmt="%.17g")
-    assert main(["certify", str(file), "place-task"]) == 1
+def test_the_report_says_where_a_path_leaves_the_manifold(tmp_path, states, capsys):
+    np.savetxt(tmp_path / "a.csv", changed(states, MIDDLE, 0.5 * np.eye(7)[5]), delimiter=",", fmt="%.17g")
+    assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
     out = capsys.readouterr().out
-    assert out.startswith("certified   NO: path") and "off the manifold by" in out and "at state 40" in out
-    np.savetxt(file, states, delimiter=",", fmt="%.17g")
-    assert main(["certify", str(file), "place-task"]) == 0
-    out = capsys.readouterr().out
-    assert "resolution  no gaps: every state is proven" in out and "clearance" in out
+    assert out.startswith("certified   NO") and "off the manifold by" in out and "at state 40" in out
 
 
 @pytest.mark.parametrize(
@@ -223,7 +192,7 @@ def test_the_report_says_what_and_where(tmp_path, problem, states, capsys):
     [
         ("a.csv", "", "empty"),
         ("a.csv", "1,2\n3\n", "not understood"),
-        ("a.csv", "q1,q2\n1,2\n3,4\n", "the file moves joints 'q1', 'q2'; the robot has panda_joint1"),
+        ("a.csv", "q1,q2\n1,2\n3,4\n", "the robot has panda_joint1"),
         ("a.csv", "time,q1_position,force\n1,2,3\n", "column 'force'"),
         ("a.json", "{", "not json"),
         ("a.json", "{}", "no 'states', 'path' or 'points'"),
@@ -233,9 +202,8 @@ def test_the_report_says_what_and_where(tmp_path, problem, states, capsys):
         ("a.json", "[[true, 2], [3, 4]]", "not understood"),
         ("a.json", '{"points": [{"positions": [1], "time_from_start": {"sec": true}}]}', "not understood"),
         ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
-        ("a.json", '{"points": [{"time_from_start": 3}]}', "a point has no 'positions'"),
+        ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
         ("a.json", '{"points": 7}', "not understood"),
-        ("a.json", "[" * 100_000, "not understood"),
         ("a.txt", "", "'.txt'"),
     ],
 )
@@ -244,24 +212,11 @@ def test_what_is_no_motion_is_one_line(tmp_path, capsys, name, text, words):
     assert words in refused(capsys, "certify", tmp_path / name, "place-task")
 
 
-def test_a_trajectory_without_velocities_or_with_times_that_go_back_is_one_line(tmp_path, capsys, trajectory):
-    lines = as_csv(trajectory).splitlines()
-    (tmp_path / "back.csv").write_text("\n".join([lines[0], lines[2], lines[1]]))
-    assert "increase" in refused(capsys, "certify", tmp_path / "back.csv", "place-task")
-    (tmp_path / "bare.csv").write_text("\n".join(",".join(line.split(",")[:8]) for line in lines))
-    assert "needs velocities" in refused(capsys, "certify", tmp_path / "bare.csv", "place-task")
-    assert "write numbers in quotes" in refused(
-        capsys, "certify", tmp_path / "bare.csv", "place-task", "--current", "a b"
-    )
-
-
-def test_a_trajectory_in_other_units_is_one_line(tmp_path, capsys, trajectory):
-    """Of milliseconds, that a second is called; and one that swings for a quarter of an hour."""
+def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_units_is_one_line(
+    tmp_path, capsys, trajectory
+):
+    lines, ends = as_csv(trajectory).splitlines(), [0, -1]
     quick = replace(trajectory, times=trajectory.times / 1000.0, velocities=trajectory.velocities * 1000.0)
-    (tmp_path / "quick.csv").write_text(as_csv(quick))
-    line = refused(capsys, "certify", tmp_path / "quick.csv", "place-task")
-    assert "accelerates by" in line and "its limit is" in line and "are units right" in line
-    ends = [0, -1]
     swinging = replace(
         trajectory,
         times=np.array([0.0, 1000.0]),
@@ -269,9 +224,16 @@ def test_a_trajectory_in_other_units_is_one_line(tmp_path, capsys, trajectory):
         velocities=np.full((2, 7), 20.0),
         accelerations=trajectory.accelerations[ends],
     )
-    (tmp_path / "swinging.csv").write_text(as_csv(swinging))
-    line = refused(capsys, "certify", tmp_path / "swinging.csv", "place-task")
-    assert "straight pieces; at most 100000 are" in line
+    for text, words in (
+        ("\n".join([lines[0], lines[2], lines[1]]), "increase"),
+        ("\n".join(",".join(line.split(",")[:8]) for line in lines), "needs velocities"),
+        (as_csv(quick), "are units right"),
+        (as_csv(swinging), "straight pieces; at most 100000"),
+    ):
+        (tmp_path / "a.csv").write_text(text)
+        assert words in refused(capsys, "certify", tmp_path / "a.csv", "place-task")
+    words = ("certify", tmp_path / "a.csv", "place-task", "--current", "a b")
+    assert "write numbers in quotes" in refused(capsys, *words)
 
 
 def test_a_pipe_or_a_device_is_no_motion(tmp_path, capsys):
@@ -303,12 +265,3 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):
     assert "2 birrt seed 0: its path is not kept" in capsys.readouterr().err
     (tmp_path / PATHS_FILE).write_bytes(b"PK" + 50 * b"x")
     assert "paths.npz is damaged" in refused(capsys, "certify", tmp_path)
-
-
-def test_the_phases_of_a_task_are_judged_in_the_worlds_that_they_met(task, task_solution):
-    paths = [outcome.solution.simplified.path.states for outcome in task_solution.outcomes]
-    problems = list(phase_problems(task, paths))
-    assert len(problems) == len(paths) > 3
-    for problem, states in zip(problems, paths, strict=True):
-        assert certify(problem, JointPath(states), clearance=False).valid
-    assert not certify(problems[0], JointPath(paths[1]), clearance=False).valid

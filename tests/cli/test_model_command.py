@@ -10,9 +10,7 @@ from published_files import STAGE1
 from small_models import random_checkpoint
 
 from cli.main import main
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt, robot_signature
 from cvqmpt_lab.vqmpt.predictor import Predictor
@@ -32,30 +30,14 @@ def test_info_tells_what_is_in_a_folder(panda, tmp_path, capsys):
     save_checkpoint(folder, checkpoint)
     found = info(capsys, "--model", tmp_path / "run")  # a training's folder is as good
     assert found["architecture"] == "vq-mpt" and found["sha256"] == weights_digest(folder)
-    assert found["robot"]["joints"] == list(panda.joint_names)
-    assert found["robot"]["kinematics"] == panda.kinematics_digest
-    listed = json.loads((folder / "config.json").read_text())["sha256"]
+    assert found["robot"]["joints"] == list(panda.joint_names) and found["metadata"] == metadata
     for name, module in checkpoint.parts.items():
         part = found["parts"][f"{name}.safetensors"]
-        assert part["bytes"] == (folder / f"{name}.safetensors").stat().st_size
         assert part["numbers"] == sum(tensor.numel() for tensor in module.state_dict().values())
-        assert part["sha256"] == listed[name]
-    assert found["model"] == to_plain(checkpoint.config, complete=True) and found["metadata"] == metadata
-
     assert main(["model", "info", "--model", str(folder)]) == 0
     text = capsys.readouterr().out
-    assert len(text.splitlines()) < 30 and found["sha256"] in text
-    for words in (
-        "vq-mpt, published",
-        "panda, 7 joints",
-        "panda_joint4",
-        "validation_nll",
-        "-1.25",
-        "--json",
-    ):
-        assert words in text
-    found = info(capsys, "--model", "mpnet")
-    assert found["architecture"] == "mpnet" and "mpnet.safetensors" in found["parts"]
+    assert len(text.splitlines()) < 30 and found["sha256"] in text and "panda, 7 joints" in text
+    assert info(capsys, "--model", "mpnet")["architecture"] == "mpnet"
 
 
 def test_published_folders_are_converted_and_predict(panda, published, tmp_path, capsys):
@@ -112,7 +94,7 @@ def test_imports_that_fail_leave_nothing(published, published_states, tmp_path, 
     assert {path.name for path in tmp_path.iterdir()} == {"dictionary", "ar"}
 
 
-def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path, monkeypatch):
+def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
     found = resolve_model(architecture="mpnet", robot=robot_signature(panda))
     assert found == resolve_model("mpnet") == WEIGHTS / "mpnet"
@@ -126,6 +108,3 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
         load_vq_mpt(slider_arm, tmp_path / "run")
     with pytest.raises(InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder"):
         load_vq_mpt(panda, "gnn")
-    monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
-    with pytest.raises(InvalidInputError, match=r"no weights in .*vq_mpt; give one of vq_mpt"):
-        load_vq_mpt(panda)

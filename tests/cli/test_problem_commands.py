@@ -20,26 +20,9 @@ def mine(tmp_path, capsys):
     return path
 
 
-def test_a_new_problem_has_comments_and_is_planned_as_it_is(mine, capsys):
-    data = json.loads(mine.read_text())
-    assert all("_comment" in part for part in (data, data["constraint"], data["scene"]["objects"][0]))
-    assert main(["plan", "--problem-file", str(mine), "--iterations", "20000"]) == 0
-    assert "robot panda" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
 def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
     check_problem(PlanningProblem.from_dict(template({"name": robot})))
-
-
-def test_a_new_problem_takes_nobodys_place(mine, capsys):
-    assert "is there already" in refused(capsys, "problems", "new", mine)
-
-
-def test_options_of_another_action_are_refused(capsys, tmp_path):
-    assert "--robot goes with new" in refused(capsys, "problems", "list", "place-task", "--robot", "panda")
-    assert "--goals goes with export" in refused(capsys, "problems", "list", "place-task", "--goals")
-    assert "unknown action 'nwe'" in refused(capsys, "problems", "nwe", tmp_path / "mine.json")
 
 
 def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path):
@@ -56,17 +39,8 @@ def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path)
 
 
 def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, capsys):
-    words = [
-        "ik",
-        "--problem-file",
-        str(mine),
-        "--pose",
-        "-0.3, 0.5, 0.3, 3.14, 0, 0",
-        "--count",
-        "3",
-        "--json",
-    ]
-    assert main(words) == 0
+    words = ["ik", "--problem-file", str(mine), "--pose", "-0.3, 0.5, 0.3, 3.14, 0, 0"]
+    assert main([*words, "--count", "3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     problem = PlanningProblem.load(mine)
     assert found["joints"] == list(problem.robot.joint_names) and len(found["configurations"]) == 3
@@ -103,9 +77,3 @@ def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
 )
 def test_a_wrong_pose_or_region_is_one_line(mine, capsys, words, message):
     assert message in refused(capsys, "ik", "--problem-file", mine, *words)
-
-
-def test_problems_are_listed(capsys):
-    assert main(["problems", "list", "place-task", "--problems", "2"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["0:", "1:", "2"]

@@ -23,18 +23,9 @@ def test_it_writes_its_files_and_refuses_to_mix_them_with_another_run(capsys, tm
 @pytest.mark.parametrize("out", ["/dev/null", "/dev/null/x"])
 def test_a_directory_that_cannot_be_made_is_refused(capsys, out):
     assert out in refused(capsys, "reproduce", "place-task", "--problems", "1", "--out", out)
-    assert out in refused(capsys, "problems", "export", "place-task", "--problems", "1", "--out", out)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_directory_is_refused(capsys, tmp_path):
     tmp_path.chmod(0o555)
     assert "read-only" in refused(capsys, "reproduce", "place-task", "--problems", "1", "--out", tmp_path)
-
-
-def test_an_unknown_backend_of_an_experiment_is_refused(capsys, tmp_path):
-    out = tmp_path / "out"
-    assert "'nope'" in refused(
-        capsys, "reproduce", "place-task", "--problems", "1", "--backend", "nope", "--out", out
-    )
-    assert not out.exists()

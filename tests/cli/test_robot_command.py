@@ -66,7 +66,6 @@ def test_a_picture_and_an_srdf_are_written(said, tmp_path, slider_arm_urdf):
         ("plan place-task --base 0,0,0", "--robot or --urdf; give it"),
         ("plan --problem-file p.json --base 0,0,0", "cannot read problem file p.json"),
         ("plan --problem-file p.json --urdf a.urdf", "cvqmpt robot a.urdf suggests one"),
-        ("plan place-task --robot ur5", "go with --problem-file"),
     ],
 )
 def test_what_cannot_be_is_one_line(capsys, words, says):

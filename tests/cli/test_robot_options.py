@@ -71,6 +71,3 @@ def test_a_bad_robot_is_refused_by_name(capsys, arm_file, slider_arm_urdf, words
     assert found in refused(capsys, "plan", "--problem-file", arm_file, *words)
 
 
-def test_a_robot_goes_with_a_problem_file(capsys, slider_arm_urdf):
-    words = ["--urdf", slider_arm_urdf, "--end-effector", "tool"]
-    assert "--problem-file" in refused(capsys, "plan", "place-task", *words)

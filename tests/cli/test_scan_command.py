@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from command_line import refused
-from PIL import Image
 from scipy.spatial import cKDTree
 
 from cli.main import main
@@ -42,12 +41,8 @@ def folder(tmp_path_factory, panda):
 
 @pytest.fixture
 def camera(folder):
-    return [
-        "--intrinsics",
-        folder / "depth.intrinsics.json",
-        "--extrinsics",
-        folder / "depth.extrinsics.json",
-    ]
+    intrinsics, extrinsics = (folder / f"depth.{part}.json" for part in ("intrinsics", "extrinsics"))
+    return ["--intrinsics", intrinsics, "--extrinsics", extrinsics]
 
 
 def run(*words):
@@ -68,26 +63,11 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(folder, camera, tmp_pat
     assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
 
 
-def test_a_picture_shows_what_is_left(folder, camera, tmp_path, capsys):
-    words = ["--voxel", "0.06", "--neighbours", "0", "--picture", tmp_path / "scan.png"]
-    assert run("scan", folder / "depth.png", *camera, *words) == 0
-    assert "picture written to" in capsys.readouterr().out
-    assert Image.open(tmp_path / "scan.png").size == (1200, 800)
-
-
 def test_unknown_space_may_be_an_obstacle(folder, camera, tmp_path, capsys):
     counts = []
     for unknown in ("free", "occupied"):
-        words = [
-            "--arm-at",
-            START,
-            "--map",
-            "0.05",
-            "--unknown",
-            unknown,
-            "--out",
-            tmp_path / f"{unknown}.json",
-        ]
+        out = tmp_path / f"{unknown}.json"
+        words = ["--arm-at", START, "--map", "0.05", "--unknown", unknown, "--out", out]
         assert run("scan", folder / "depth.png", *camera, *words) == 0
         counts.append(len(read_scene(tmp_path / f"{unknown}.json")["scan"].shape.cells))
     assert counts[1] > 3 * counts[0]
@@ -123,53 +103,39 @@ def test_a_network_may_be_shown_the_scan_beside_a_suite(folder, camera, capsys):
     assert "birrt does not look at a cloud" in capsys.readouterr().err.splitlines()[-1]
 
 
-REFUSED = {
-    "no extrinsics and a level": (["--level", "table"], "--level and --extrinsics: give one of the two"),
-    "crop of five": (["--crop", "0,0,0,1,1"], "--crop '0,0,0,1,1': write 6 numbers, X0, Y0, Z0"),
-    "crop of nothing": (["--crop", "5,5,5,6,6,6"], "nothing of the scan is left after crop"),
-    "front alone": (["--front", "0.3,0,0"], "is that of --level table"),
-    "one pose too many": (["--extrinsics", "a.json"], "--extrinsics is given 2 times for 1 files"),
-    "start of six": (
-        ["--arm-at", "0,0,0,0,0,0"],
-        "--arm-at '0,0,0,0,0,0': write 7 numbers, panda_joint1,",
-    ),
-    "arm elsewhere": (
-        ["--arm-at", START, "--robot-margin", "0", "--neighbours", "0"],
-        "the arm stands inside the scan",
-    ),
-    "out": (["--out", "x.obj"], "suffix '.obj'; valid choices: .json, .pcd"),
-    "voxel": (["--voxel", "-1"], "-1"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_meant_is_refused(folder, camera, name, capsys):
-    words, message = REFUSED[name]
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--level", "table"], "--level and --extrinsics: give one of the two"),
+        (["--crop", "0,0,0,1,1"], "write 6 numbers, X0, Y0, Z0"),
+        (["--crop", "5,5,5,6,6,6"], "nothing of the scan is left"),
+        (["--front", "0.3,0,0"], "is that of --level table"),
+        (["--extrinsics", "a.json"], "2 times for 1 files"),
+        (["--arm-at", "0,0,0,0,0,0"], "write 7 numbers, panda_joint1,"),
+        (["--arm-at", START, "--robot-margin", "0", "--neighbours", "0"], "the arm stands inside the scan"),
+        (["--out", "x.obj"], "'.obj'; valid choices: .json, .pcd"),
+        (["--voxel", "-1"], "-1"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(folder, camera, words, message, capsys):
     assert message in refused(capsys, "scan", folder / "depth.png", *camera, *words)
 
 
-REFUSED_PLANS = {
-    "no obstacles": (["--start", START, "--goal", GOAL], "give --cloud or --scene"),
-    "no goal": (
-        ["--cloud", "a.pcd", "--start", START],
-        "a motion needs --start Q, and --goal Q or --goal-pose",
-    ),
-    "constraint": (
-        ["--cloud", "CLOUD", "--start", START, "--goal", GOAL, "--constraint", "uprihgt"],
-        "unknown --constraint 'uprihgt'",
-    ),
-    "value": (
-        ["--cloud", "CLOUD", "--start", START, "--goal", GOAL, "--constraint", "upright=x"],
-        "write 1 numbers, VALUE",
-    ),
-    "a suite too": (["place-task", "--start", START, "--goal", GOAL], "one of the four"),
-    "no cloud": (["place-task", "--extrinsics", "a.json"], "are of a scan: give --cloud"),
-}
+ENDS = ["--start", START, "--goal", GOAL]
 
 
-@pytest.mark.parametrize("name", REFUSED_PLANS)
-def test_a_motion_that_is_not_told_whole_is_refused(folder, name, capsys):
-    words, message = REFUSED_PLANS[name]
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (ENDS, "give --cloud or --scene"),
+        (["--cloud", "a.pcd", "--start", START], "a motion needs --start Q, and --goal Q or --goal-pose"),
+        (["--cloud", "CLOUD", *ENDS, "--constraint", "uprihgt"], "unknown --constraint 'uprihgt'"),
+        (["--cloud", "CLOUD", *ENDS, "--constraint", "upright=x"], "write 1 numbers, VALUE"),
+        (["place-task", *ENDS], "one of the four"),
+        (["place-task", "--extrinsics", "a.json"], "are of a scan: give --cloud"),
+    ],
+)
+def test_a_motion_that_is_not_told_whole_is_refused(folder, words, message, capsys):
+    pose = ["--extrinsics", folder / "depth.extrinsics.json"] if "CLOUD" in words else []
     words = [folder / "cloud.ply" if word == "CLOUD" else word for word in words]
-    pose = ["--extrinsics", folder / "depth.extrinsics.json"] if "CLOUD" in REFUSED_PLANS[name][0] else []
     assert message in refused(capsys, "plan", *words, *pose)

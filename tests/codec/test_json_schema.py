@@ -16,6 +16,7 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.tasks.task import Task
 
 KINDS = {"problem": PlanningProblem, "task": Task}
+BALL = {"name": "b", "shape": {"type": "sphere", "radius": 0.1}, "T_world_object": {"xyz": [2, 0, 0]}}
 UPRIGHT = {"upright": {"tilt": 0.1, "axis": "-z"}}
 START = {"pose": {"at": {"xyz": [0.4, 0.0, 0.6], "rpy": [3.0, 0.0, 0.0]}, "yaw": 3.15}}
 
@@ -34,16 +35,7 @@ def mine():
         "_comment": "a ball",
         "name": "mine",
         "robot": {"name": "panda"},
-        "scene": {
-            "name": "room",
-            "objects": [
-                {
-                    "name": "b",
-                    "shape": {"type": "sphere", "radius": 0.1},
-                    "T_world_object": {"xyz": [2, 0, 0]},
-                }
-            ],
-        },
+        "scene": {"name": "room", "objects": [BALL]},
         "constraint": {"upright": 0.3},
         "start_region": START,
         "goal_region": START,
@@ -68,12 +60,8 @@ def test_what_the_code_writes_and_wrote_is_valid(name, request):
 
 def test_what_a_person_writes_is_valid(mine):
     assert errors("problem", mine) == []
-    assert (
-        errors(
-            "problem", mine | {"constraint": [UPRIGHT, {"plane": {"point": [0, 0, 1], "normal": [0, 0, 1]}}]}
-        )
-        == []
-    )
+    plane = {"plane": {"point": [0, 0, 1], "normal": [0, 0, 1]}}
+    assert errors("problem", mine | {"constraint": [UPRIGHT, plane]}) == []
 
 
 @pytest.mark.parametrize(
@@ -85,12 +73,7 @@ def test_what_a_person_writes_is_valid(mine):
         {"start": ["0.1"]},
         {"schema": "cvqmpt-problem/2"},
         {"scene": {"name": "room"}},
-        {
-            "scene": {
-                "name": "room",
-                "objects": [{"name": "b", "shape": {"type": "cone"}, "T_world_object": {}}],
-            }
-        },
+        {"scene": {"name": "r", "objects": [{"name": "b", "shape": {"type": "cone"}, "T_world_object": {}}]}},
         {"goal_region": {"T0_w": {"xyz": [0, 0, 0]}, "Tw_e": {"xyz": [0, 0, 0]}, "Bw": [[0, 0]] * 5}},
     ],
     ids=str,

@@ -1,13 +1,12 @@
 """The codec: what it makes of json, and the one line that says which field is wrong."""
 
-import json
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec.documents import Document, to_text
+from cvqmpt_lab.codec.documents import Document
 from cvqmpt_lab.codec.forms import Array, Length, Name, Tagged
 from cvqmpt_lab.codec.plain import Checked, from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
@@ -54,12 +53,8 @@ def refused(data, kind=Heap):
 
 def test_everything_survives_a_round_trip_through_a_file(tmp_path):
     tilted = pose((0.1, -0.2, 1.0 / 3.0), 0.7)
-    heap = Heap(
-        (
-            Thing("a", Ball(0.1), tilted, "blue", 2.5, 3, False),
-            Thing("b", Mesh(np.array([[0.1, 0.2, 1.0 / 3.0]]))),
-        )
-    )
+    points = np.array([[0.1, 0.2, 1.0 / 3.0]])
+    heap = Heap((Thing("a", Ball(0.1), tilted, "blue", 2.5, 3, False), Thing("b", Mesh(points))))
     heap.save(tmp_path / "heap.json")
     again = Heap.load(tmp_path / "heap.json")
     assert again == heap and hash(again) == hash(heap)
@@ -76,67 +71,51 @@ def test_defaults_are_left_out_and_may_be_missing_unless_all_is_asked_for():
         from_plain(Thing, BALL, complete=True)
 
 
+def mesh(points):
+    return {"shape": {"type": "mesh", "points": points}}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"nmae": "a"}, "things[0].nmae is unknown; did you mean 'name'?; fields: name, shape"),
-        ({"name": ""}, "things[0].name is ''; it must be 1 to 200 printable characters"),
-        ({"name": "a\nb"}, "things[0].name is 'a\\nb'; it must be"),
-        ({"name": "a\x1b[31mb"}, "things[0].name is 'a\\x1b[31mb'; it must be"),
-        ({"name": 5}, "things[0].name is 5; it must be str"),
-        ({"name": "x" * 400_000}, "things[0].name is 'xxxx"),
-        ({"mass": "2"}, "things[0].mass is '2'; it must be a finite float"),
-        ({"mass": True}, "things[0].mass is True; it must be a finite float"),
-        ({"mass": 10**400}, "things[0].mass is 1000"),
-        ({"mass": float("nan")}, "things[0].mass is nan; it must be a finite float"),
-        ({"count": 1.5}, "things[0].count is 1.5; it must be int"),
-        ({"count": -1}, "things[0].count is -1; it cannot be negative"),
-        ({"solid": 1}, "things[0].solid is 1; it must be bool"),
-        ({"colour": "rde"}, "unknown things[0].colour 'rde'; valid choices: red, blue; did you mean 'red'?"),
-        ({"colour": []}, "unknown things[0].colour []; valid choices: red, blue"),
-        ({"shape": []}, "things[0].shape is []; it must be an object with 'type', one of ball, mesh"),
-        ({"shape": {"radius": 1.0}}, "things[0].shape.type is missing; one of ball, mesh"),
-        ({"shape": {"type": []}}, "unknown things[0].shape.type []; valid choices: ball, mesh"),
-        (
-            {"shape": {"type": "bell"}},
-            "unknown things[0].shape.type 'bell'; valid choices: ball, mesh; did you",
-        ),
-        ({"shape": {"type": "ball"}}, "things[0].shape.radius is missing; fields: radius"),
-        (
-            {"shape": {"type": "ball", "radius": 0}},
-            "things[0].shape.radius is 0.0; it must be a positive length",
-        ),
-        (
-            {"shape": {"type": "mesh", "points": [[1, 2, "3"]]}},
-            "things[0].shape.points is [[1, 2, '3']]; it must",
-        ),
-        ({"shape": {"type": "mesh", "points": [[1, 2, True]]}}, "things[0].shape.points is [[1, 2, True]]"),
-        ({"shape": {"type": "mesh", "points": [[1, 2, 10**400]]}}, "things[0].shape.points is [[1, 2, 1000"),
-        ({"shape": {"type": "mesh", "points": [[1, 2], [3]]}}, "things[0].shape.points is [[1, 2], [3]]; it"),
-        ({"shape": {"type": "mesh", "points": [[1, 2]]}}, "shape (1, 2); it must be (any, 3) points x, y, z"),
-        (
-            {"shape": {"type": "mesh", "points": [[1, 2, np.inf]]}},
-            "things[0].shape.points[0, 2] is NaN or inf",
-        ),
-        ({"place": [1]}, "things[0].place has shape (1,); it must be (4, 4)"),
-        (
-            {"place": "here"},
-            "things[0].place is 'here'; it must be numbers, or {xyz, rpy} or {xyz, quaternion}",
-        ),
-        ({"place": {"xyz": [1, 2]}}, "things[0].place.xyz is [1, 2]; it must be a list of 3"),
-        ({"place": {"xzy": [1, 2, 3]}}, "things[0].place.xzy is unknown; did you mean 'xyz'?"),
-        (
-            {"place": {"quaternion": [0, 0, 0, 2]}},
-            "things[0].place: quaternion [x, y, z, w] has length 2; it",
-        ),
-        (
-            {"place": {"rpy": [0] * 3, "quaternion": [0, 0, 0, 1]}},
-            "things[0].place: give 'rpy' or 'quaternion'",
-        ),
+        ({"nmae": "a"}, "nmae is unknown; did you mean 'name'?; fields: name, shape"),
+        ({"name": ""}, "name is ''; it must be 1 to 200 printable characters"),
+        ({"name": "a\nb"}, "name is 'a\\nb'; it must be"),
+        ({"name": "a\x1b[31mb"}, "name is 'a\\x1b[31mb'; it must be"),
+        ({"name": 5}, "name is 5; it must be str"),
+        ({"name": "x" * 400_000}, "name is 'xxxx"),
+        ({"mass": "2"}, "mass is '2'; it must be a finite float"),
+        ({"mass": True}, "mass is True; it must be a finite float"),
+        ({"mass": 10**400}, "mass is 1000"),
+        ({"mass": float("nan")}, "mass is nan; it must be a finite float"),
+        ({"count": 1.5}, "count is 1.5; it must be int"),
+        ({"count": -1}, "count is -1; it cannot be negative"),
+        ({"solid": 1}, "solid is 1; it must be bool"),
+        ({"colour": "rde"}, "'rde'; valid choices: red, blue; did you mean 'red'?"),
+        ({"colour": []}, "valid choices: red, blue"),
+        ({"shape": []}, "shape is []; it must be an object with 'type', one of ball, mesh"),
+        ({"shape": {"radius": 1.0}}, "shape.type is missing; one of ball, mesh"),
+        ({"shape": {"type": []}}, "shape.type []; valid choices: ball, mesh"),
+        ({"shape": {"type": "bell"}}, "shape.type 'bell'; valid choices: ball, mesh; did you"),
+        ({"shape": {"type": "ball"}}, "shape.radius is missing; fields: radius"),
+        ({"shape": {"type": "ball", "radius": 0}}, "shape.radius is 0.0; it must be a positive length"),
+        (mesh([[1, 2, "3"]]), "shape.points is [[1, 2, '3']]; it must"),
+        (mesh([[1, 2, True]]), "shape.points is [[1, 2, True]]"),
+        (mesh([[1, 2, 10**400]]), "shape.points is [[1, 2, 1000"),
+        (mesh([[1, 2], [3]]), "shape.points is [[1, 2], [3]]; it"),
+        (mesh([[1, 2]]), "shape (1, 2); it must be (any, 3) points x, y, z"),
+        (mesh([[1, 2, np.inf]]), "shape.points[0, 2] is NaN or inf"),
+        ({"place": [1]}, "place has shape (1,); it must be (4, 4)"),
+        ({"place": "here"}, "it must be numbers, or {xyz, rpy} or {xyz, quaternion}"),
+        ({"place": {"xyz": [1, 2]}}, "place.xyz is [1, 2]; it must be a list of 3"),
+        ({"place": {"xzy": [1, 2, 3]}}, "place.xzy is unknown; did you mean 'xyz'?"),
+        ({"place": {"quaternion": [0, 0, 0, 2]}}, "quaternion [x, y, z, w] has length 2"),
+        ({"place": {"rpy": [0] * 3, "quaternion": [0, 0, 0, 1]}}, "give 'rpy' or 'quaternion'"),
     ],
 )
 def test_the_wrong_field_is_named_by_its_path(change, message):
-    assert message in refused({"things": [BALL | change]})
+    said = refused({"things": [BALL | {"_comment": "what it is for"} | change]})
+    assert message in said and "things[0]." in said
 
 
 @pytest.mark.parametrize(
@@ -152,9 +131,7 @@ def test_the_wrong_field_is_named_by_its_path(change, message):
 )
 def test_only_rigid_poses_are_poses(matrix, fault):
     data = np.asarray(matrix).tolist()
-    assert refused({"things": [BALL | {"place": data}]}).startswith(
-        f"things[0].place is no rigid pose: its {fault}"
-    )
+    assert f"things[0].place is no rigid pose: its {fault}" in refused({"things": [BALL | {"place": data}]})
     with pytest.raises(InvalidInputError, match="Thing 'a': place is no rigid pose"):
         Thing("a", Ball(0.1), np.array(matrix))
 
@@ -168,17 +145,8 @@ def test_poses_are_written_by_people_in_three_ways():
     ):
         np.testing.assert_allclose(from_plain(Thing, BALL | {"place": data}).place, turned, atol=1e-15)
     rolled = from_plain(Thing, BALL | {"place": {"rpy": [np.pi / 2, 0.0, np.pi / 2]}}).place
-    np.testing.assert_allclose(
-        rolled[:3, :3] @ (0, 1, 0), (0, 0, 1), atol=1e-15
-    )  # roll first, about the fixed x
-    assert to_plain(from_plain(Thing, BALL | {"place": {"xyz": [1, 2, 3]}}))["place"] == {
-        "xyz": [1.0, 2.0, 3.0]
-    }
-
-
-def test_a_comment_may_stand_in_every_object():
-    data = {"_comment": ["two", "lines"], "things": [BALL | {"_comment": "what it is for"}]}
-    assert from_plain(Heap, data) == Heap((Thing("a", Ball(0.1)),))
+    roll_first = rolled[:3, :3] @ (0, 1, 0)  # about the fixed x
+    np.testing.assert_allclose(roll_first, (0, 0, 1), atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -200,12 +168,3 @@ def test_a_file_that_cannot_be_read_is_named_in_one_line(tmp_path, text, message
     with pytest.raises(InvalidInputError) as caught:
         Heap.load(path)
     assert message in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
-
-
-def test_rows_of_numbers_stay_on_one_line():
-    text = to_text({"start": [1.0 / 3.0] * 9, "goals": [[2.0 / 3.0] * 9] * 2, "shape": {"type": "ball"}})
-    assert json.loads(text)["goals"] == [[2.0 / 3.0] * 9] * 2
-    assert [line.split("[")[0].strip() for line in text.splitlines()] == [
-        *("{", '"start":', '"goals":', "", "", "],"),
-        *('"shape": {"type": "ball"}', "}"),
-    ]

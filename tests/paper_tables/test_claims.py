@@ -5,16 +5,12 @@ import re
 import pytest
 from made_rows import a_results_folder
 
-from cvqmpt_lab.errors import InvalidInputError
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import (
-    BEGIN,
-    END,
     committed_pages,
     page_text,
     stale_pages,
     summary_lines,
-    with_summary,
 )
 
 FASTER, SHORTER, SOLVES, PLANNING, *_, COMPLETE = range(9)
@@ -24,11 +20,6 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
     assert stale_pages(committed_pages()) == []
 
 
-def test_a_changed_page_is_told(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("holds")
-    (line,) = stale_pages({page: "does not hold"})
-    assert str(page) in line and "cvqmpt claims" in line
 
 
 @pytest.mark.parametrize(("uniform", "verdict"), [(3.0, "holds"), (1.0, "holds in part"), (None, "holds")])
@@ -63,8 +54,3 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     assert len(summary_lines(judged_claims(found))) == 1 + 9
 
 
-def test_the_box_replaces_what_stands_between_its_marks_alone():
-    box = f"{BEGIN}\nnew\n{END}"
-    assert with_summary(f"before\n{BEGIN}\nold\n{END}\nafter", box) == f"before\n{box}\nafter"
-    with pytest.raises(InvalidInputError, match="put them where"):
-        with_summary("no marks", box)

@@ -9,7 +9,6 @@ from made_rows import a_failure, a_results_folder, a_row
 
 from cli.main import main
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from paper_tables.report.check_cost import COSTS, NEVER, against_reference
 from paper_tables.report.page import report_html
 
 EVIL = "<script>alert(1)</script>$x$"
@@ -56,21 +55,6 @@ def test_names_from_rows_are_text(page):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
-def test_learning_pays_where_its_interval_is_below_one():
-    def rows(planner, checks, network):
-        work = {"n_projections": 0, "n_state_checks": checks, "t_predict_s": network}
-        return [a_row(f"p{k}", planner, **work) for k in range(5)]
-
-    groups = {
-        "birrt": rows("birrt", 1000, 0.0),
-        "learned": rows("learned", 100, 0.09),
-        "worse": rows("worse", 2000, 0.0),
-    }
-    learned, worse = against_reference(groups)
-    assert worse.pays == NEVER
-    paying = [cost for cost in COSTS if 100 * cost + 0.09 < 1000 * cost]  # from 0.1 ms
-    assert [ratio.high < 1.0 for ratio in learned.ratios] == [cost in paying for cost in COSTS]
-    assert learned.pays == "111 µs to 35.0 ms" and against_reference({"learned": groups["learned"]}) == []
 
 
 def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys, results, tmp_path):

@@ -8,7 +8,6 @@ from made_rows import a_row
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.results.row import write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
-from experiments.suites.suite import SUITES
 from paper_tables.suite_tables import TABLES, render_directory
 
 
@@ -55,8 +54,6 @@ def test_only_suites_of_the_paper_get_its_numbers(tmp_path, suite, papers):
         assert ("22.95" in path.read_text()) is papers
 
 
-def test_every_suite_has_a_title():
-    assert TABLES.keys() == SUITES.keys()
 
 
 def test_directories_without_runs_say_what_to_do(tmp_path):

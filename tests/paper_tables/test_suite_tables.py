@@ -2,18 +2,15 @@
 
 import csv
 import io
-from dataclasses import replace
 
 import pytest
 from made_rows import a_failure, a_row
 
-from cvqmpt_lab.results.row import write_rows
-from experiments.figures.row_figures import draw_robustness
 from paper_tables.constraints_table import constraints_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_table import place_task_table
-from paper_tables.robustness_table import levels_of, robustness_table, safe_padding
+from paper_tables.robustness_table import levels_of, robustness_table
 
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
 
@@ -72,12 +69,6 @@ def test_a_verdict_needs_tasks_that_both_solved():
     assert len(verdicts) == 2 and all(line[-1].startswith("not judged") for line in verdicts)
 
 
-def test_fallbacks_are_counted_by_phase_and_by_task():
-    rows = phases("cvq-mpt", 0, 0.5, 9.0) + phases("cvq-mpt", 1, 0.5, 9.0)
-    rows = [replace(row, fallback="no weights") if "door" in row.problem else row for row in rows]
-    table = multi_sequence_table(rows, ())
-    assert table.sections["Fallbacks"][1:] == [["cvq-mpt", "open-door", "no weights", "2 of 2"]]
-    assert table.brief[-1] == "by fallback: cvq-mpt 2 of 2"
 
 
 # ---------------------------------------------------------------- kinds of constraints
@@ -168,20 +159,5 @@ def test_one_thing_is_varied_at_a_time_and_the_padding_follows():
     assert max(map(len, table.brief)) <= 100
 
 
-def test_no_padding_is_recommended_when_the_largest_collides():
-    rows = [
-        varied(scene, "birrt", f"noise=1 padding={padding} pixels=all", true_free=padding == "0")
-        for scene in range(3)
-        for padding in ("0", "0.03")
-    ]
-    rows += [varied(s, "birrt", "noise=2 padding=0 pixels=all", true_free=True) for s in range(3)]
-    assert safe_padding(levels_of(rows)) is None
-    assert "No padding that was tried" in robustness_table(rows, ()).markdown
 
 
-def test_the_figure_is_drawn_beside_its_rows(tmp_path):
-    write_rows(tmp_path / "runs.csv", some_rows())
-    written = draw_robustness(tmp_path)
-    assert {path.name for path in written} == {"robustness.png", "robustness.svg"}
-    first = [path.read_bytes() for path in written]
-    assert [path.read_bytes() for path in draw_robustness(tmp_path)] == first and len(first[0]) > 20_000

@@ -44,11 +44,6 @@ def test_wilson_matches_tabulated_values(successes, n, low, high):
     assert interval.low == pytest.approx(low, abs=5e-5) and interval.high == pytest.approx(high, abs=5e-5)
 
 
-def test_wilson_solves_its_defining_equation():
-    """Each bound p satisfies (rate - p)^2 = z^2 p (1 - p) / n."""
-    interval = wilson_interval(37, 120)
-    for bound in bounds(interval):
-        assert (37 / 120 - bound) ** 2 == pytest.approx(1.959964**2 * bound * (1 - bound) / 120, rel=1e-6)
 
 
 def test_wilson_covers_as_it_claims():
@@ -96,15 +91,8 @@ def test_failures_move_the_median_without_imputation():
     assert median_interval([INF, INF]) == Interval(INF, INF, INF, 2, 0.5)
 
 
-def test_small_samples_give_the_range_and_say_so():
-    interval = median_interval([3.0, 1.0, 2.0])
-    assert (interval.low, interval.high) == (1.0, 3.0) and interval.coverage == 0.75
 
 
-def test_large_samples_do_not_overflow():
-    interval = median_interval(np.arange(3000.0))
-    assert interval.coverage == pytest.approx(0.9525, abs=0.0025)
-    assert bounds(interval) == pytest.approx((1500 - 54, 1500 + 54), abs=2)
 
 
 def test_mean_of_solved_leaves_failures_out():
@@ -149,10 +137,6 @@ def test_jointly_solved_needs_every_planner_and_the_same_seed():
     assert jointly_solved({}) == ()
 
 
-def test_no_data_gives_no_numbers():
-    assert wilson_interval(0, 0) == median_interval([]) == UNDEFINED
-    assert mean_of_solved([]) == geometric_mean_interval([]) == UNDEFINED
-    assert UNDEFINED.scaled(100) == UNDEFINED
 
 
 def test_nonsense_is_refused():

@@ -1,8 +1,5 @@
 import json
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
@@ -83,18 +80,6 @@ def test_an_interrupted_block_keeps_its_rows(tmp_path, interruption):
     assert not (tmp_path / PARTIAL_FILE).exists()
 
 
-def test_a_killed_process_loses_no_appended_row(tmp_path):
-    script = (
-        "import os, signal, sys; from pathlib import Path; sys.path.insert(0, sys.argv[2])\n"
-        "from cvqmpt_lab.results.store import RunStore; from made_rows import CONFIGURATION, a_row\n"
-        "store = RunStore.open(Path(sys.argv[1]), CONFIGURATION)\n"
-        "for i in range(3): store.append([a_row(f'p{i}', t_total_s=0.1 * i)])\n"
-        "os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    command = [sys.executable, "-c", script, str(tmp_path), str(Path(__file__).parents[1])]
-    assert subprocess.run(command, check=False).returncode == -9
-    with RunStore.open(tmp_path, CONFIGURATION) as store:
-        assert store.rows() == [a_row(f"p{i}", t_total_s=0.1 * i) for i in range(3)]
 
 
 def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
@@ -182,16 +167,3 @@ def test_a_finished_store_takes_no_rows(tmp_path):
         store.append([a_row()])
 
 
-def test_a_full_disk_is_an_error_and_leaves_whole_lines(tmp_path, monkeypatch):
-    store = RunStore.open(tmp_path, CONFIGURATION)
-    store.append([a_row("p1")])
-
-    def full(handle):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
-        with pytest.raises(RunStoreError, match="No space left"):
-            store.append([a_row("p2")])
-    store.finish()
-    assert {row.problem for row in read_rows(tmp_path / RUNS_FILE)} == {"p1", "p2"}

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.scene.scene import pose
 
@@ -32,12 +32,6 @@ def binary_stl(*triangles):
     return b"\0" * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
 
 
-def test_locked_joint_keeps_its_value(slider_arm, slider_arm_urdf):
-    locked = load_robot(slider_arm_urdf, "tool", locked={"bend": -0.4})
-    assert locked.joint_names == ("rail", "lift", "twist")
-    np.testing.assert_allclose(
-        locked.pose(np.array([0.1, 0.2, 0.3])), slider_arm.pose(np.array([0.1, 0.2, -0.4, 0.3])), atol=1e-12
-    )
 
 
 def test_unknown_names_are_listed(slider_arm_urdf, panda, refused):
@@ -65,14 +59,7 @@ def test_missing_mesh_is_named(edited, refused):
     refused(InvalidInputError, r"arm\.urdf.*nothing\.stl", load_robot, urdf, "tool")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "solid empty\nendsolid empty\n",
-        FLAT_MESH,
-    ],
-)
+@pytest.mark.parametrize("text", ["", "solid empty\nendsolid empty\n", FLAT_MESH])
 def test_empty_or_flat_mesh_is_named(edited, refused, tmp_path, text):
     name = "flat.obj" if text == FLAT_MESH else "empty.stl"
     (tmp_path / name).write_text(text)
@@ -102,18 +89,6 @@ def test_what_urdfs_parser_would_print_pages_about_is_one_line(edited, refused, 
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"locked": {"mount": 0.0}},
-        {"locked": {"rail": np.nan}},
-        {"locked": {"rail": "wide"}},
-        {"srdf": "none.srdf"},
-    ],
-    ids=["lock a fixed joint", "lock at NaN", "lock at a word", "missing srdf"],
-)
-def test_unusable_options_are_named(slider_arm_urdf, refused, options):
-    refused(CvqmptError, "mount|rail|none.srdf", load_robot, slider_arm_urdf, "tool", **options)
 
 
 # ---------------------------------------------------------------- what moves and what is held
@@ -263,14 +238,6 @@ def test_a_mesh_without_volume_or_of_absurd_size_ends_in_one_line_not_in_the_pro
     assert "m.stl" in done.stdout and pattern.replace(".", "+") in done.stdout.replace(".", "+")
 
 
-def test_a_mesh_that_the_hull_library_refuses_is_named(edited, refused, tmp_path):
-    """A cone of 300 sides: the library stores at most 255 neighbours of its tip."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 301)
-    rim = np.c_[np.cos(angle), np.sin(angle), 0.0 * angle]
-    sides = [(rim[k], rim[k + 1], (0.0, 0.0, 1.0)) for k in range(300)]
-    (tmp_path / "cone.stl").write_bytes(binary_stl(*sides))
-    urdf = edited((SPHERE, '<mesh filename="cone.stl"/>'))
-    refused(InvalidInputError, r"cone\.stl has no convex hull \(Too many neighbors", load_robot, urdf, "tool")
 
 
 # ---------------------------------------------------------------- meshes in packages

@@ -78,16 +78,6 @@ def test_parts_move_as_in_the_scene(panda, name, taken_at):
             np.testing.assert_allclose(placed[part].mean(axis=0), T[:3, 3], atol=1e-9)
 
 
-def test_the_arm_is_the_same(panda, world):
-    _, robot = world
-    rng = np.random.default_rng(0)
-    for q in robot.random_configurations(rng, 20):
-        np.testing.assert_allclose(robot.pose(q), panda.pose(q[:7]), atol=1e-12)
-        assert np.array_equal(pieces(robot, q)["panda_hand_0"], pieces(panda, q[:7])["panda_hand_0"])
-    limits = robot.joint_limits
-    np.testing.assert_array_equal(limits.velocity, [*panda.joint_limits.velocity, 1.0])
-    np.testing.assert_array_equal(limits.acceleration, [*panda.joint_limits.acceleration, 2.0])
-    assert robot.source != panda.source and robot.self_collision_pairs[:44] == panda.self_collision_pairs
 
 
 @pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
@@ -154,17 +144,6 @@ def space_of(robot, scene, backend="compiled"):
     return ConstrainedSpace(PlanningProblem("test", robot, scene, q, q[None]), backend)
 
 
-def test_door_against_arm_is_found_and_named(world, grasp):
-    """The arm stays where it holds the closed door, and the door swings into it."""
-    scene, robot = world
-    checker = CollisionChecker(robot, scene)
-    spaces = [space_of(robot, scene, backend) for backend in ("compiled", "exact")]
-    assert not checker.in_collision(grasp) and all(space.valid(grasp) for space in spaces)
-    swung = grasp.copy()
-    swung[7] = -0.3
-    assert checker.in_collision(swung) and not any(space.valid(swung) for space in spaces)
-    pair = checker.colliding_pair(swung)
-    assert pair.first.startswith("panda_") and pair.second.startswith(DOOR)
 
 
 def test_casing_stops_the_arm(panda, world):

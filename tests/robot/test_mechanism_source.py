@@ -1,7 +1,5 @@
 """A robot with a door or drawer in files, and objects that are refused."""
 
-import json
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +29,6 @@ def grasp():
     return door_problem(0).start
 
 
-def test_pickle_and_source(world):
-    _, robot = world
-    assert pickle.loads(pickle.dumps(robot)) is robot_from_source(json.loads(json.dumps(robot.source)))
-    again = robot_from_source(json.loads(json.dumps(robot.source)))
-    for ours, theirs in zip(robot.kinematics, again.kinematics, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-    assert again.self_collision_pairs == robot.self_collision_pairs and again.name == f"panda+{DOOR}"
-    assert to_plain(from_plain(ArticulatedObject, robot.source["articulated"])) == robot.source["articulated"]
 
 
 def test_a_problem_comes_back_from_its_file(tmp_path):

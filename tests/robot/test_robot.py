@@ -22,13 +22,6 @@ def random_configurations(robot, count, seed=0):
     return robot.random_configurations(np.random.default_rng(seed), count)
 
 
-def test_panda_limits_and_names(panda):
-    np.testing.assert_array_equal(
-        panda.lower, (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973)
-    )
-    np.testing.assert_array_equal(panda.upper, (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973))
-    assert panda.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
-    assert panda.end_effector == "panda_hand" and "panda_link0" in panda.frame_names
 
 
 def test_panda_hand_pose_at_zero_is_the_data_sheet_s(panda):
@@ -58,14 +51,6 @@ def test_kernel_poses_equal_pinocchio_s(name, request):
             np.testing.assert_allclose(T_world_piece, placement.homogeneous, atol=1e-12, err_msg=piece.name)
 
 
-@pytest.mark.parametrize("name", ["panda", "slider_arm"])
-def test_reach_is_never_exceeded(name, request):
-    robot = request.getfixturevalue(name)
-    rotations, translations = link_poses(robot.kinematics, random_configurations(robot, 300))
-    for piece in robot.links:
-        points = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
-        world = np.einsum("kij,nj->kni", rotations[:, piece.link], points) + translations[:, None, piece.link]
-        assert np.linalg.norm(world, axis=-1).max() <= robot.reach
 
 
 def test_hull_vertices_contain_round_shapes(slider_arm):
@@ -79,11 +64,6 @@ def test_hull_vertices_contain_round_shapes(slider_arm):
             assert (piece.vertices @ directions.T).max(axis=0).min() >= item.geometry.radius
 
 
-def test_joint_outside_limits_names_the_worst_joint(panda):
-    assert panda.joint_outside_limits(HOME) is None
-    assert panda.joint_outside_limits(panda.upper) is None
-    name, amount = panda.joint_outside_limits(HOME + np.array([0, 3.0, 0, 3.0, 0, 0, 0]))
-    assert name == "panda_joint4" and amount == pytest.approx(-2.356 + 3.0 + 0.0698)
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.013, 0.04])

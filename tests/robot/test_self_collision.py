@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.loading import load_robot, robot_from_source
+from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.robot.self_collision import NEAR, cache_file, read_srdf, srdf_text
 
@@ -71,12 +71,6 @@ def test_without_a_place_for_the_cache_pairs_are_sampled_all_the_same(slider_arm
     assert load_robot(slider_arm_urdf, "tool").left_out_pairs == expected
 
 
-def test_an_exported_file_gives_the_same_robot(tmp_path):
-    robot = robot_from_source({"name": "xarm7", "srdf": None})
-    assert robot.left_out_pairs
-    (tmp_path / "a.srdf").write_text(srdf_text(robot.name, robot.left_out_pairs))
-    same = robot_from_source({"name": "xarm7", "srdf": str(tmp_path / "a.srdf")})
-    assert same.self_collision_pairs == robot.self_collision_pairs
 
 
 @pytest.mark.parametrize(("text", "pattern"), [("<robot", "cannot read SRDF"), ("<a/>", "root <a>")])

@@ -10,7 +10,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.show.picture import draw_solution
-from cvqmpt_lab.show.recording import GROWTH, TIMELINE, log_solution
+from cvqmpt_lab.show.recording import TIMELINE, log_solution
 from experiments.suites.place_task import carried_can
 
 
@@ -40,15 +40,6 @@ def test_solved_recording_holds_everything(solution, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
-def test_trees_grow_to_their_last_vertex(solution, tmp_path):
-    log_solution(solution, save=tmp_path / "run.rrd")
-    nodes = [0, 0]
-    for chunk in RrdReader(tmp_path / "run.rrd").stream():
-        if chunk.entity_path.startswith("/trees/") and "/nodes/" in chunk.entity_path:
-            assert GROWTH in chunk.timeline_names
-            positions = chunk.to_record_batch().column("Points3D:positions")
-            nodes[int(chunk.entity_path.split("/")[2])] += sum(len(row) for row in positions.to_pylist())
-    assert nodes == [len(tree.nodes) for tree in solution.plan.trees]
 
 
 def test_unsolved_recording_holds_the_problem(unsolved, tmp_path):
@@ -82,6 +73,3 @@ def test_unwritable_recording_is_refused(unsolved, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
 
 
-def test_nothing_to_do_is_refused(unsolved):
-    with pytest.raises(InvalidInputError, match="view=True"):
-        log_solution(unsolved)

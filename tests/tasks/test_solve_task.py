@@ -8,21 +8,16 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import PLANNERS, Method
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.results.row import split_problem
 from cvqmpt_lab.robot.loading import FINGER_OPENING
-from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve_task import solve_task
 from experiments.rows import Run, phase_rows
 from experiments.suites.door_task import OPEN
-from experiments.suites.multi_sequence import CAN_NAME, world
+from experiments.suites.multi_sequence import CAN_NAME
 from experiments.suites.place_task import DOOR
-from paper_tables.multi_sequence_table import task_rows
 
 BUDGET = Budget(seconds=20.0)
 RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)
@@ -117,14 +112,6 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
 
 
-def test_phases_after_a_failed_one_are_failures_too(task):
-    wall = SceneObject("wall", Box((0.3, 0.3, 0.3)), pose((0.34, -0.485, 0.757)))
-    solution = solve_task(replace(task, scene=world().with_objects(wall)), "birrt", BUDGET, seed=0)
-    rows = phase_rows(RUN, solution)
-    assert [row.fail_reason for row in rows] == ["no_goal"] + ["not_reached"] * 4
-    assert all("phase 'reach-handle'" in row.detail for row in rows[1:])
-    (total,) = task_rows(rows)
-    assert total.fail_reason == "no_goal" and total.detail.startswith("reach-handle: no goal")
 
 
 def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
@@ -145,10 +132,3 @@ def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
     assert all(PLANNERS["birrt"].incompatibility(problem) == "" for problem in problems.values())
 
 
-def test_rows_name_their_phases(rows):
-    assert [split_problem(row.problem) for row in rows] == [
-        ("0", k, name) for k, name in enumerate(PHASES, 1)
-    ]
-    assert all(row.solved and row.execution_time_s > 0 for row in rows)
-    with pytest.raises(InvalidInputError, match="no phase of a task"):
-        split_problem("17")

@@ -1,6 +1,5 @@
 """Timing of paths: against toppra, against the limits themselves, and what is refused."""
 
-import csv
 import json
 import pickle
 from dataclasses import replace
@@ -128,9 +127,7 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
 
     motion = time_path(paths[0], limits, FULL, too_far)
     assert len(seen) > 1 and seen[0] > 2e-4 and segment_distances(motion.positions, paths[0]).max() <= 2e-4
-    with pytest.raises(
-        InvalidInputError, match=r"refused even .* rad from it: never; plan with another seed"
-    ):
+    with pytest.raises(InvalidInputError, match=r"refused even .* rad from it: never"):
         time_path(paths[0], limits, FULL, lambda states: ("never",))
 
 
@@ -145,67 +142,31 @@ def test_a_path_that_turns_back_is_passed_without_a_stop():
 # ---------------------------------------------------------------- trajectories
 
 
-def test_velocities_and_accelerations_are_derivatives(motion):
-    t = np.linspace(0.0, motion.duration, 400)[1:-1] + 1e-4
-    h = 1e-6
-    before, now, after = motion.at(t - h), motion.at(t), motion.at(t + h)
-    np.testing.assert_allclose((after.positions - before.positions) / (2 * h), now.velocities, atol=1e-4)
-    inside = np.array([np.abs(motion.times - x).min() > 2 * h for x in t])
-    slopes = (after.velocities - before.velocities) / (2 * h)
-    np.testing.assert_allclose(slopes[inside], now.accelerations[inside], atol=1e-3)
-    middles = 0.5 * (motion.times[1:] + motion.times[:-1])
-    mean = 0.5 * (motion.accelerations[1:] + motion.accelerations[:-1])
-    assert np.median(np.abs(motion.at(middles).accelerations - mean)) < 0.05
-
-
-def test_before_and_after_the_arm_stands_still(motion):
-    early, late = motion.at(-1.0), motion.at(motion.duration + 1.0)
-    assert np.array_equal(early.positions, motion.positions[0])
-    np.testing.assert_allclose(late.positions, motion.positions[-1], atol=1e-12)
-    assert not any(x.any() for x in (*early[1:], *late[1:]))
-    with pytest.raises(InvalidInputError, match="time nan"):
-        motion.at(np.nan)
-
-
-def test_even_sampling_is_the_same_motion(motion):
+def test_even_sampling_is_the_same_motion_which_rests_before_and_after(motion):
     even = motion.sampled(0.01)
     assert np.ptp(np.diff(even.times)) < 1e-9 and np.diff(even.times).max() <= 0.01 + 1e-12
     assert even.duration == motion.duration and even.joint_names == motion.joint_names
     assert np.abs(even.at(0.333).positions - motion.at(0.333).positions).max() < 1e-3
-    with pytest.raises(InvalidInputError, match=r"sampling period 0\.0"):
-        motion.sampled(0.0)
+    early, late = motion.at(-1.0), motion.at(motion.duration + 1.0)
+    np.testing.assert_allclose([early.positions, late.positions], motion.positions[[0, -1]], atol=1e-12)
+    assert not any(x.any() for x in (*early[1:], *late[1:]))
+    for wrong, words in ((motion.at, "time nan"), (motion.sampled, "sampling period nan")):
+        with pytest.raises(InvalidInputError, match=words):
+            wrong(np.nan)
 
 
 # ---------------------------------------------------------------- files
-
-
-def test_csv_holds_every_number(motion, tmp_path):
-    save_trajectory(motion, tmp_path / "motion.csv")
-    with (tmp_path / "motion.csv").open(newline="") as handle:
-        header, *rows = csv.reader(handle)
-    names = [
-        f"panda_joint{i}_{kind}" for kind in ("position", "velocity", "acceleration") for i in range(1, 8)
-    ]
-    assert header == ["time", *names]
-    table = np.array(rows, dtype=float)
-    stored = np.hsplit(table, [1, 8, 15])
-    expected = (motion.times[:, None], motion.positions, motion.velocities, motion.accelerations)
-    assert all(np.array_equal(a, b) for a, b in zip(stored, expected, strict=True))
-    assert [p.name for p in tmp_path.iterdir()] == ["motion.csv"]
 
 
 def test_json_is_a_ros_message(motion, tmp_path):
     save_trajectory(motion, tmp_path / "motion.json")
     message = json.loads((tmp_path / "motion.json").read_text())
     assert set(message) == {"header", "joint_names", "points"}
-    assert message["joint_names"] == list(motion.joint_names)
     fields = {"positions", "velocities", "accelerations", "effort", "time_from_start"}
     assert all(set(point) == fields for point in message["points"])
     stamps = [point["time_from_start"] for point in message["points"]]
     assert all(0 <= s["nanosec"] < 10**9 and isinstance(s["sec"], int) for s in stamps)
-    times = np.array([s["sec"] + 1e-9 * s["nanosec"] for s in stamps])
-    np.testing.assert_allclose(times, motion.times, atol=1e-9)
-    assert (np.diff(times) > 0.0).all() and motion.duration > 1.0
+    np.testing.assert_allclose([s["sec"] + 1e-9 * s["nanosec"] for s in stamps], motion.times, atol=1e-9)
     for field in ("positions", "velocities", "accelerations"):
         assert np.array_equal([point[field] for point in message["points"]], getattr(motion, field))
 
@@ -213,26 +174,13 @@ def test_json_is_a_ros_message(motion, tmp_path):
 # ---------------------------------------------------------------- limits of robots
 
 
-def test_the_panda_has_the_limits_of_its_data_sheet(panda):
-    assert panda.joint_limits.velocity.tolist() == [2.175] * 4 + [2.61] * 3
-    assert panda.joint_limits.acceleration.tolist() == [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
-    assert panda.joint_limits.joint_names == panda.joint_names
-
-
 def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(slider_arm_urdf):
-    bare = load_robot(slider_arm_urdf, "tool")
-    with pytest.raises(
-        InvalidInputError, match=r"no acceleration limits.*acceleration_limits=.*--acceleration"
-    ):
-        _ = bare.joint_limits
-    assert "acceleration_limits" not in bare.source
+    with pytest.raises(InvalidInputError, match=r"no acceleration limits.*--acceleration"):
+        _ = load_robot(slider_arm_urdf, "tool").joint_limits
     given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])
     assert given.joint_limits.velocity.tolist() == [1.0] * 4
     for again in (robot_from_source(json.loads(json.dumps(given.source))), pickle.loads(pickle.dumps(given))):
         assert again.joint_limits.acceleration.tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert (
-        load_robot(slider_arm_urdf, "tool", acceleration_limits=2).acceleration_limits.tolist() == [2.0] * 4
-    )
     locked = load_robot(slider_arm_urdf, "tool", locked={"lift": 0.0}, acceleration_limits=[1.0, 3.0, 4.0])
     assert locked.joint_limits.joint_names == ("rail", "bend", "twist")
 
@@ -263,26 +211,19 @@ def test_a_urdf_without_speeds_is_named_when_timing_asks(slider_arm_urdf, tmp_pa
 # ---------------------------------------------------------------- bad input
 
 
-def broken(change):
-    path = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.1]])
-    return change(path)
-
-
-def put(path, place, value):
-    path[place] = value
-    return path
+PATH = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.1]])
 
 
 @pytest.mark.parametrize(
     ("waypoints", "words"),
     [
-        (broken(lambda p: p[:1]), r"shape \(1, 2\): give \(m, n\), two or more"),
-        (broken(lambda p: p[[0, 1, 1, 2]]), "waypoint 2 repeats waypoint 1: leave one"),
-        (broken(lambda p: p[[0, 1, 2, 2]]), "waypoint 3 repeats waypoint 2"),
-        (broken(lambda p: put(p, (2, 1), np.nan)), "waypoint 2 has nan at joint index 1"),
-        (broken(lambda p: put(p, (0, 0), -np.inf)), "waypoint 0 has -inf at joint index 0"),
-        (broken(lambda p: p[:, :1]), "waypoints have 1 joints, the limits 2: first, second"),
-        (broken(lambda p: p[0]), r"shape \(2,\)"),
+        (PATH[:1], r"shape \(1, 2\): give \(m, n\), two or more"),
+        (PATH[[0, 1, 1, 2]], "waypoint 2 repeats waypoint 1"),
+        (PATH[[0, 1, 2, 2]], "waypoint 3 repeats waypoint 2"),
+        ([[0.0, 0.0], [0.1, 0.0], [0.2, np.nan]], "waypoint 2 has nan at joint index 1"),
+        ([[-np.inf, 0.0], [0.1, 0.0]], "waypoint 0 has -inf at joint index 0"),
+        (PATH[:, :1], "waypoints have 1 joints, the limits 2: first, second"),
+        (PATH[0], r"shape \(2,\)"),
         ([[0.0, 1.0], [0.0]], "not an array of numbers"),
     ],
 )
@@ -292,18 +233,16 @@ def test_bad_waypoints_are_named(waypoints, words):
 
 
 @pytest.mark.parametrize(
-    ("settings", "error", "words"),
+    ("name", "values", "words"),
     [
-        *(
-            ({"speed": s}, InvalidInputError, f"speed factor {s}:.*at most 1")
-            for s in (0.0, -0.1, 1.1, np.nan)
-        ),
-        *(({"deviation": d}, InvalidInputError, f"deviation {d}: give") for d in (0.0, -1.0, np.nan, np.inf)),
+        ("speed", (0.0, -0.1, 1.1, np.nan), "speed factor"),
+        ("deviation", (0.0, -1.0, np.nan, np.inf), "deviation"),
     ],
 )
-def test_bad_settings_are_named(settings, error, words):
-    with pytest.raises(error, match=words):
-        time_path(broken(lambda p: p), TWO_JOINTS, TimingSettings(**settings))
+def test_bad_settings_are_named(name, values, words):
+    for value in values:
+        with pytest.raises(InvalidInputError, match=f"{words} {value}:"):
+            time_path(PATH, TWO_JOINTS, TimingSettings(**{name: value}))
 
 
 def test_what_cannot_be_timed_names_joint_and_place():
@@ -346,9 +285,7 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     assert code == 2 and "--acceleration" in error and len(error.splitlines()) == 1 and not out.exists()
     code, text, _ = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
     assert code == 0 and out.read_text().startswith("time,rail_position,lift_position,")
-    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, (
-        "1 rad at 1 rad/s and starting and stopping"
-    )
+    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, "1 rad at 1 rad/s, from rest to rest"
 
 
 @pytest.mark.parametrize(
@@ -366,9 +303,3 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
 def test_what_plan_refuses_about_trajectories(capsys, words, expected):
     code, text, error = planned(capsys, "place-task", *words.split())
     assert code == 2 and text == "" and expected in error and len(error.splitlines()) == 1
-
-
-def test_nothing_is_written_without_a_certified_path(capsys, tmp_path):
-    out = tmp_path / "motion.csv"
-    code, text, _ = planned(capsys, "place-task", "--problem", 7, "--iterations", 1, "--trajectory", out)
-    assert code == 1 and "trajectory  none" in text and not out.exists()
