@@ -78,8 +78,6 @@ def test_parts_move_as_in_the_scene(panda, name, taken_at):
             np.testing.assert_allclose(placed[part].mean(axis=0), T[:3, 3], atol=1e-9)
 
 
-
-
 @pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
 def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
     """Nothing at rest counts as a collision, and nothing that is excused is ever entered."""
@@ -142,8 +140,6 @@ def test_an_obstacle_in_the_way_stops_the_door(panda, x, y):
 def space_of(robot, scene, backend="compiled"):
     q = np.append(AWAY, 0.0)
     return ConstrainedSpace(PlanningProblem("test", robot, scene, q, q[None]), backend)
-
-
 
 
 def test_casing_stops_the_arm(panda, world):

@@ -48,8 +48,6 @@ def slider_problem(slider_arm):
     return PlanningProblem("slide", slider_arm, Scene("ball", (ball,)), start, goal[None], (region,))
 
 
-
-
 @pytest.mark.parametrize("name", ["birrt", "guided-birrt", "ompl-projected"])
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backend):
@@ -70,8 +68,6 @@ def test_a_start_on_the_rim_of_its_region_is_as_good_as_any(slider_problem, name
     assert rim == pytest.approx(region.Bw[2, 1], abs=TOLERANCE)
     problem = replace(slider_problem, scene=NOTHING, start=start)
     assert solve(problem, planner_named(name), Budget(iterations=20_000), seed=0).solved
-
-
 
 
 # ---------------------------------------------------------------- nothing in the way, or everything

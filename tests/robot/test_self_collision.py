@@ -55,11 +55,8 @@ def test_the_pairs_are_kept_and_a_spoilt_file_is_replaced(slider_arm_urdf, cache
 
 
 def test_another_robot_has_another_file(slider_arm_urdf, edited, cache):
-    for urdf in (
-        slider_arm_urdf,
-        edited((TOOL, 'size="0.02 0.06 0.03"')),
-        edited(('upper="0.7"', 'upper="0.8"'), name="b.urdf"),
-    ):
+    larger, further = (TOOL, 'size="0.02 0.06 0.03"'), ('upper="0.7"', 'upper="0.8"')
+    for urdf in (slider_arm_urdf, edited(larger), edited(further, name="b.urdf")):
         load_robot(urdf, "tool")
     assert len(list((cache / "cvqmpt_lab" / "self_collision").iterdir())) == 3
 
@@ -69,8 +66,6 @@ def test_without_a_place_for_the_cache_pairs_are_sampled_all_the_same(slider_arm
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert load_robot(slider_arm_urdf, "tool").left_out_pairs == expected
-
-
 
 
 @pytest.mark.parametrize(("text", "pattern"), [("<robot", "cannot read SRDF"), ("<a/>", "root <a>")])
