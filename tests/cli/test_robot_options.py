@@ -69,5 +69,3 @@ def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_
 def test_a_bad_robot_is_refused_by_name(capsys, arm_file, slider_arm_urdf, words, found):
     words = [str(slider_arm_urdf) if word == "URDF" else word for word in words]
     assert found in refused(capsys, "plan", "--problem-file", arm_file, *words)
-
-

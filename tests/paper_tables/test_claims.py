@@ -20,8 +20,6 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
     assert stale_pages(committed_pages()) == []
 
 
-
-
 @pytest.mark.parametrize(("uniform", "verdict"), [(3.0, "holds"), (1.0, "holds in part"), (None, "holds")])
 def test_a_claim_holds_where_all_its_statements_stand(tmp_path, uniform, verdict):
     results = a_results_folder(tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, ompl_projected=3.0, birrt=uniform)
@@ -52,5 +50,3 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     assert "`cvqmpt x`: wall-clock 5 min" in page and "(place-task/runs.csv)" in page
     assert "| new-one " in page, "a planner that nobody has listed stands among the others"
     assert len(summary_lines(judged_claims(found))) == 1 + 9
-
-

@@ -34,8 +34,6 @@ def test_runs_gained_and_lost_are_named():
     assert found.changes["time"].n == 18
 
 
-
-
 @pytest.mark.parametrize(
     ("other", "says"),
     [

@@ -104,12 +104,6 @@ def test_planners_are_compared_on_easy_and_hard_problems_and_at_the_papers_cost(
     assert "## Against" not in place_task_table([run("x", 0, 1.0)], ()).markdown
 
 
-
-
-
-
-
-
 def test_backends_of_one_planner_are_kept_apart():
     planners = found([*some_rows(), *(run("birrt", i, 1.0, backend="python") for i in range(10))])
     assert planners["birrt [python]"].measured["time_median"].estimate == 1.0
@@ -165,13 +159,3 @@ def test_what_makes_planners_hard_to_compare_is_noted(rows, note):
 def test_a_table_is_of_one_suite(rows):
     with pytest.raises(InvalidInputError, match="one suite"):
         place_task_table(rows, PAPER)
-
-
-
-
-
-
-
-
-
-

@@ -55,8 +55,6 @@ def test_names_from_rows_are_text(page):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
-
-
 def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys, results, tmp_path):
     assert main(["report", str(results / "place-task"), "--out", str(tmp_path / "r.html")]) == 0
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")

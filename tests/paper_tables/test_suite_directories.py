@@ -54,8 +54,6 @@ def test_only_suites_of_the_paper_get_its_numbers(tmp_path, suite, papers):
         assert ("22.95" in path.read_text()) is papers
 
 
-
-
 def test_directories_without_runs_say_what_to_do(tmp_path):
     def refused(message, directory=tmp_path):
         with pytest.raises(RunStoreError, match=message):

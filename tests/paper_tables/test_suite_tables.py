@@ -69,8 +69,6 @@ def test_a_verdict_needs_tasks_that_both_solved():
     assert len(verdicts) == 2 and all(line[-1].startswith("not judged") for line in verdicts)
 
 
-
-
 # ---------------------------------------------------------------- kinds of constraints
 
 
@@ -157,7 +155,3 @@ def test_one_thing_is_varied_at_a_time_and_the_padding_follows():
     assert ours["true_free_at_noise=2", "birrt"] == pytest.approx(100.0)
     assert table.size == "4 scenes" and "Recommended padding: 0.01 m" in table.markdown
     assert max(map(len, table.brief)) <= 100
-
-
-
-

@@ -1,4 +1,3 @@
-
 import numpy as np
 import pytest
 from made_rows import a_failure, a_row
@@ -49,10 +48,6 @@ def test_rows_come_back_exactly(tmp_path):
     assert read_rows(tmp_path / "rows.csv") == rows
 
 
-
-
-
-
 @pytest.mark.parametrize(
     ("values", "word"),
     [
@@ -79,8 +74,6 @@ def test_rows_come_back_exactly(tmp_path):
 def test_bad_values_are_refused_by_name(values, word):
     with pytest.raises(CvqmptError, match=word):
         a_row(**values)
-
-
 
 
 @pytest.mark.parametrize(
@@ -155,7 +148,3 @@ def test_unreadable_files_are_named(tmp_path):
     (tmp_path / "short.csv").write_text((tmp_path / "short.csv").read_text()[:-3])
     with pytest.raises(RunStoreError, match="line 2: 36 fields, expected 38"):
         read_rows(tmp_path / "short.csv")
-
-
-
-

@@ -44,8 +44,6 @@ def test_wilson_matches_tabulated_values(successes, n, low, high):
     assert interval.low == pytest.approx(low, abs=5e-5) and interval.high == pytest.approx(high, abs=5e-5)
 
 
-
-
 def test_wilson_covers_as_it_claims():
     covered = 0.0
     for k in range(21):  # exact sum over Binomial(20, 0.8)
@@ -91,10 +89,6 @@ def test_failures_move_the_median_without_imputation():
     assert median_interval([INF, INF]) == Interval(INF, INF, INF, 2, 0.5)
 
 
-
-
-
-
 def test_mean_of_solved_leaves_failures_out():
     interval = mean_of_solved([1.0, 3.0, INF])
     assert interval.estimate == 2.0 and interval.n == 2 and bounds(interval) == (1.0, 3.0)
@@ -135,8 +129,6 @@ def test_jointly_solved_needs_every_planner_and_the_same_seed():
     assert jointly_solved(rows) == (("place", "p2", 0), ("place", "p10", 0))
     assert jointly_solved({**rows, "c": []}) == ()
     assert jointly_solved({}) == ()
-
-
 
 
 def test_nonsense_is_refused():

@@ -80,8 +80,6 @@ def test_an_interrupted_block_keeps_its_rows(tmp_path, interruption):
     assert not (tmp_path / PARTIAL_FILE).exists()
 
 
-
-
 def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
     store = RunStore.open(tmp_path, CONFIGURATION)
     rows = [a_row("p1", t_total_s=1.25), a_row("p2", sampler_used='μμμμμμμ, "b"', t_total_s=1.25)]
@@ -165,5 +163,3 @@ def test_a_finished_store_takes_no_rows(tmp_path):
     store.finish()
     with pytest.raises(RunStoreError, match="finished"):
         store.append([a_row()])
-
-

@@ -40,8 +40,6 @@ def test_solved_recording_holds_everything(solution, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
-
-
 def test_unsolved_recording_holds_the_problem(unsolved, tmp_path):
     assert not unsolved.solved
     log_solution(unsolved, save=tmp_path / "run.rrd")
@@ -71,5 +69,3 @@ def test_unwritable_recording_is_refused(unsolved, tmp_path):
         with pytest.raises(InvalidInputError, match="cannot write"):
             log_solution(unsolved, save=tmp_path / taken)
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
-
-

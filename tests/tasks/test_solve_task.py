@@ -112,8 +112,6 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
 
 
-
-
 def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
     problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
     for name in ("ompl-projected", "atlas-rrt", "tb-rrt"):
@@ -130,5 +128,3 @@ def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
         )
         assert "weights are for" in PLANNERS[name].incompatibility(problems["open-door"])
     assert all(PLANNERS["birrt"].incompatibility(problem) == "" for problem in problems.values())
-
-
