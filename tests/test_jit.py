@@ -102,32 +102,6 @@ def test_six_joints_never_reach_a_kernel_of_seven(problem, call):
         call(space, trees)
 
 
-CRASH = """
-import numpy as np
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.loading import load_robot
-robot = load_robot({path!r}, "tool")
-try:
-    for _ in range(50):
-        RegionConstraint(robot, (upright(),)).residual(np.zeros((4000, 100)))
-except InvalidInputError as error:
-    print("refused:", error)
-"""
-
-
-def test_configurations_of_another_robot_do_not_end_the_process(slider_arm_urdf):
-    """A dictionary of other configurations once reached the kernels, which wrote past the end of their arrays."""
-    run = subprocess.run(
-        [sys.executable, "-c", CRASH.format(path=str(slider_arm_urdf))],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert run.returncode == 0, run.stderr[-500:]
-    assert run.stdout.startswith("refused: batch_residual_and_jacobian: configurations has shape (4000, 100)")
-
-
 def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_path):
     for k in range(5):
         version = tmp_path / f"{k:016x}"

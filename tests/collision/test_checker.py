@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cells import MOST_BALLS
 from cvqmpt_lab.scene.families import random_scene
+from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
-from experiments.suites.place_task import carried_can
+from experiments.suites.place_task import DOOR, DOOR_ANGLE, carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 CONTACT = 1e-5  # [m] contact is not defined below
@@ -74,34 +73,28 @@ def with_one_of_each():
     )
 
 
-def test_kitchen(panda, open_kitchen):
+TOOL = pose((0.02, -0.03, 0.15), 0.4)
+SPONGE = PointCloud(np.random.default_rng(6).uniform(-0.05, 0.05, (200, 3)), 0.006)
+CARRIED = (Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3), SPONGE)
+
+
+@pytest.mark.parametrize(
+    ("scene", "count", "attachments", "margin"),
+    [
+        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 8000, (), 0.0),
+        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 3000, (carried_can(),), 0.0),
+        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 2000, (), 1e-4),
+        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 2000, (), 0.03),
+        (random_scene(0), 2000, (), 0.0),
+        (random_scene(1), 2000, (carried_can(),), 0.0),
+        (NOTHING, 2000, (), 0.0),
+        (with_one_of_each(), 3000, (), 0.0),
+        *((random_scene(5), 1000, (Attachment("tool", shape, TOOL),), 0.0) for shape in CARRIED),
+    ],
+)
+def test_both_checkers_agree(panda, scene, count, attachments, margin):
     """`cvqmpt bench collision --states 1000000` compares as many as one likes."""
-    compare(panda, open_kitchen, 8000)
-
-
-def test_kitchen_with_the_carried_can(panda, open_kitchen):
-    compare(panda, open_kitchen, 3000, (carried_can(),))
-
-
-@pytest.mark.parametrize("margin", [1e-4, 0.03])
-def test_margins(panda, open_kitchen, margin):
-    compare(panda, open_kitchen, 2000, margin=margin)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_random_scenes(panda, seed):
-    compare(panda, random_scene(seed), 2000, (carried_can(),) if seed % 2 else ())
-
-
-def test_empty_scene_and_every_shape(panda):
-    compare(panda, NOTHING, 2000)
-    compare(panda, with_one_of_each(), 3000)
-
-
-@pytest.mark.parametrize("shape", [Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3)])
-def test_attachments_of_every_shape(panda, shape):
-    T_hand_object = pose((0.02, -0.03, 0.15), 0.4)
-    compare(panda, random_scene(5), 1000, (Attachment("tool", shape, T_hand_object),))
+    compare(panda, scene, count, attachments, margin)
 
 
 def test_another_robot(slider_arm):
@@ -116,26 +109,6 @@ def test_another_robot(slider_arm):
     missed = [checker.clearance(q) for q in states[expected & ~answers]]
     assert expected.any() and [depth for depth in missed if depth < -CONTACT] == []
     assert (answers & ~expected)[:3000].mean() < 0.05
-
-
-@pytest.mark.parametrize("spread", [0.8, 0.1])
-def test_point_clouds_are_never_smaller_than_their_balls(panda, spread):
-    rng, radius = np.random.default_rng(2), 0.02
-    points = rng.uniform(-spread, spread, (60, 3))
-    T = pose((0.3, 0.2, 0.5), 0.7)
-    cloud = Scene("cloud", (SceneObject("cloud", PointCloud(points, radius), T),))
-    balls = Scene(
-        "balls",
-        tuple(
-            SceneObject(f"ball_{i}", Sphere(radius), pose((T @ [*p, 1.0])[:3])) for i, p in enumerate(points)
-        ),
-    )
-    checker = CollisionChecker(panda, balls)
-    states = np.concatenate([panda.random_configurations(rng, 2000), near_contact(checker, rng, 2000)])
-    expected, answers = checker.in_collision_batch(states), compiled_hits(panda, cloud, states)
-    missed = [checker.clearance(q) for q in states[expected & ~answers]]
-    assert [depth for depth in missed if depth < -CONTACT] == []
-    assert (answers & ~expected).mean() < 0.1
 
 
 def shell(rng, count):
@@ -173,17 +146,6 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     compare(panda, scene, 2000, margin=1e-4)
 
 
-def test_a_carried_cloud_is_the_same_to_both_checkers(panda):
-    """Only the first of its balls was once checked."""
-    cloud = PointCloud(np.random.default_rng(6).uniform(-0.05, 0.05, (200, 3)), 0.006)
-    compare(panda, random_scene(5), 1000, (Attachment("sponge", cloud, pose((0.0, 0.0, 0.16), 0.4)),))
-
-
-def test_clouds_with_nan_are_refused():
-    with pytest.raises(InvalidInputError, match=r"points\[1, 0\] .* must be finite"):
-        PointCloud(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.02)
-
-
 def test_nan_configurations_collide(panda):
     assert compiled_hits(panda, NOTHING, np.full((1, 7), np.nan)).all()
 
@@ -197,8 +159,3 @@ def test_obstacles_outside_the_grid_are_still_seen(panda):
     assert np.linalg.norm(T_world_tip[:3, 3]) > panda.reach
     assert compiled_hits(panda, scene, [stretched], (pole,)) == [True]
     assert compiled_hits(panda, scene, [stretched]) == [False]
-
-
-def test_arrays_are_made_once(panda, open_kitchen):
-    assert robot_arrays(panda) is robot_arrays(panda)
-    assert scene_arrays(open_kitchen, 1.2) is scene_arrays(open_kitchen, 1.2)

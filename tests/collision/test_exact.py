@@ -95,15 +95,6 @@ def test_the_carried_can_collides_with_the_arm(panda):
     assert partners and not any("hand" in n or "finger" in n or "link7" in n for n in partners)
 
 
-def test_an_attachment_reaches_obstacles_that_the_arm_cannot(panda):
-    pole = Attachment("pole", Box((0.02, 0.02, 1.0)), pose((0.0, 0.0, 0.6)))
-    T_world_tip = panda.pose(np.array([0.0, 1.5, 0.0, -0.1, 0.0, 1.5, 0.0])) @ pose((0.0, 0.0, 1.0))
-    q = np.array([0.0, 1.5, 0.0, -0.1, 0.0, 1.5, 0.0])
-    scene = scene_with(brick(T_world_tip[:3, 3]))
-    assert CollisionChecker(panda, scene, (pole,)).in_collision(q)
-    assert not CollisionChecker(panda, scene).in_collision(q)
-
-
 def test_what_is_never_paired(panda):
     """The base with obstacles, visible-only objects, and obstacles out of reach."""
     base = CollisionChecker(panda, scene_with(brick((0.0, 0.0, -0.05), size=0.2)))
@@ -112,14 +103,6 @@ def test_what_is_never_paired(panda):
     assert not CollisionChecker(panda, visible).in_collision(HOME)
     far = CollisionChecker(panda, scene_with(brick((10.0, 0.0, 0.0))))
     assert far.clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
-
-
-def test_batch_equals_single(panda, open_kitchen):
-    checker = CollisionChecker(panda, open_kitchen)
-    states = panda.random_configurations(np.random.default_rng(2), 200)
-    answers = checker.in_collision_batch(states)
-    assert answers.dtype == bool and 0 < answers.sum() < 200
-    np.testing.assert_array_equal(answers, [checker.in_collision(q) for q in states])
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.03])

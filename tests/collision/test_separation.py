@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.collision.checker import FREE, first_contact
-from cvqmpt_lab.collision.clusters import MOST_GRAINS, Cloud, cluster_grains
+from cvqmpt_lab.collision.clusters import Cloud
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
 from cvqmpt_lab.collision.geometry import robot_geometry, scene_geometry
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
@@ -174,22 +174,6 @@ def test_grid_never_overestimates_and_is_not_idle():
     assert not cell_of(scene.grid, 0.0, 0.0, 9.0)[3]
 
 
-def test_grid_lists_every_obstacle_near_a_point():
-    rng = np.random.default_rng(5)
-    specs = [random_spec(rng, BOX) for _ in range(12)]
-    scene = scene_geometry(specs, LOWER, UPPER)
-    objects = [coal_object(spec) for spec in specs]
-    for point in rng.uniform(LOWER, UPPER, (150, 3)):
-        ix, iy, iz, _ = cell_of(scene.grid, *point)
-        start = scene.grid.list_start[ix // 2, iy // 2, iz // 2]
-        listed = set(
-            scene.grid.items[start : start + scene.grid.list_count[ix // 2, iy // 2, iz // 2]].tolist()
-        )
-        probe = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), point)
-        near = {i for i, other in enumerate(objects) if coal_distance(probe, other) < scene.reach - 1e-5}
-        assert near <= listed
-
-
 def random_scene(rng):
     specs = [random_spec(rng, int(kind), 0.4, 0.15) for kind in rng.integers(0, 4, 10)]
     clouds = [
@@ -257,23 +241,6 @@ def test_states_agree_with_coal(cell):
     assert 10 < free < 110
 
 
-def test_margin_is_kept():
-    rng = np.random.default_rng(8)
-    robot, (specs, clouds) = random_robot(rng), random_scene(rng)
-    geometry, scene = robot_geometry(robot, LINK, PAIRS), scene_geometry(specs, LOWER, UPPER, clouds=clouds)
-    objects = coal_scene(specs, clouds)
-    outcomes = []
-    for _ in range(60):
-        R, p = random_poses(rng, 4)
-        nearest = min(exact_distances(robot, R, p, objects).values())
-        for margin in (0.003, 0.03, 0.3):
-            free = first_contact(R, p, geometry, scene, margin) == (-1, -1)
-            assert not (free and nearest < margin - 2e-6)
-            assert free or nearest < margin + 1e-4
-            outcomes.append(free)
-    assert 0 < sum(outcomes) < len(outcomes)
-
-
 def test_empty_scene_and_world_geometry():
     rng = np.random.default_rng(9)
     robot = random_robot(rng)
@@ -300,39 +267,6 @@ def test_a_pose_that_is_not_finite_is_a_collision():
         R, p = random_poses(rng, 4)
         R[3, 0, 2] = bad
         assert first_contact(R, p, geometry, empty, MARGIN)[0] != FREE
-
-
-def test_clusters_keep_every_grain():
-    rng = np.random.default_rng(11)
-    turned = pose(Rotation.from_rotvec((0.3, -0.7, 0.2)).as_matrix(), (0.1, 0.2, -3.0))
-    clouds = [
-        Cloud(rng.normal(size=(5000, 3)), rng.uniform(0.0, 0.01, (5000, 3)), 0.01, turned),
-        balls(np.empty((0, 3)), 0.01),
-        balls(np.ones((50, 3)), 0.0),
-        balls(np.array([[2.0, 3.0, 4.0]]), 0.1),
-    ]
-    clusters = cluster_grains(clouds, 0.05)
-    sizes = np.diff(clusters.start)
-    assert sizes.max() == MOST_GRAINS and 1 not in sizes
-    assert clusters.half.max() <= 0.025 + 0.01 + 1e-9
-    owner = np.repeat(np.arange(len(sizes)), sizes)
-    beyond = np.abs(clusters.grains[:, :3]) + clusters.grains[:, 3:] - clusters.half[owner]
-    assert beyond.max() <= 0.0
-    for number, cloud in enumerate(clouds):
-        R, t = cloud.T_world_cloud[:3, :3], cloud.T_world_cloud[:3, 3]
-        of_grain = clusters.cloud[owner] == number
-        inside = (clusters.centre[owner[of_grain]] - t) @ R + clusters.grains[of_grain, :3]
-        single = (clusters.cloud == number) & (sizes == 0)
-        grains = np.concatenate(
-            [
-                np.column_stack([inside, clusters.grains[of_grain, 3:]]),
-                np.column_stack([(clusters.centre[single] - t) @ R, clusters.half[single]]),
-            ]
-        )
-        expected = np.column_stack([cloud.centre, cloud.half])
-        assert np.allclose(
-            *(rows[np.lexsort(rows[:, :3].round(9).T)] for rows in (grains, expected)), atol=1e-11
-        )
 
 
 @pytest.mark.parametrize(

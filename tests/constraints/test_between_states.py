@@ -71,28 +71,25 @@ def test_no_regions_no_violation(panda):
 
 def test_a_stretch_through_half_a_turn_near_the_bound_is_shown_to_be_inside(panda):
     """A path of place problem 29 whose tilt stays 0.4 mrad inside the bounds while the rotation vector flips."""
-    states = np.array(
-        [
-            [
-                -1.1481188614,
-                0.3862704407,
-                -0.6391775381,
-                -1.1351601979,
-                -1.3682942986,
-                1.7553746467,
-                2.1815440655,
-            ],
-            [
-                -1.1927416229,
-                0.3649073632,
-                -0.6185763631,
-                -1.1257449561,
-                -1.3865800599,
-                1.7442825782,
-                2.1594492086,
-            ],
-        ]
+    first = (
+        -1.1481188614,
+        0.3862704407,
+        -0.6391775381,
+        -1.1351601979,
+        -1.3682942986,
+        1.7553746467,
+        2.1815440655,
     )
+    last = (
+        -1.1927416229,
+        0.3649073632,
+        -0.6185763631,
+        -1.1257449561,
+        -1.3865800599,
+        1.7442825782,
+        2.1594492086,
+    )
+    states = np.array([first, last])
     region = (upright(),)
     assert largest_violation(panda, region, evenly_spaced(states, 1e-4), 1.0, 1.0).radians == 0.0
     assert largest_violation(panda, region, states, 0.11, 5e-4).largest <= 5e-4

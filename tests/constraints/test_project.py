@@ -42,16 +42,11 @@ def test_uniform_samples_reach_the_upright_manifold(panda, tilt):
     samples = panda.random_configurations(np.random.default_rng(0), 5000)
     q, iterations = project_all(panda, (upright(tilt),), samples)
     reached = iterations >= 0
-    assert reached.mean() >= 0.99
+    assert reached.mean() >= (0.99 if tilt == 0.0 else 0.999)
     assert np.median(iterations[reached]) <= 6
     assert (q >= panda.lower).all() and (q <= panda.upper).all()
     residual = RegionConstraint(panda, (upright(tilt),)).residual(q[reached])
     assert np.linalg.norm(residual, axis=1).max() <= TOLERANCE
-
-
-def test_hardly_any_uniform_sample_fails(panda):
-    samples = panda.random_configurations(np.random.default_rng(5), 20_000)
-    assert (project_all(panda, (upright(),), samples)[1] >= 0).mean() >= 0.999
 
 
 @pytest.mark.parametrize(("between", "least"), [(1, 0.98), (0, 0.95)], ids=["some joints", "all joints"])
@@ -97,13 +92,6 @@ def test_batch_equals_single(panda):
             assert np.linalg.norm(manifold.residual(single)) <= TOLERANCE
 
 
-def test_states_on_the_manifold_stay(panda):
-    manifold = RegionConstraint(panda, (upright(),))
-    q = manifold.project(np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))
-    before = q.copy()
-    np.testing.assert_array_equal(manifold.project(q), before)
-
-
 def test_the_input_is_not_changed_and_is_clipped_first(panda):
     far = np.full(7, 10.0)
     q = RegionConstraint(panda, ()).project(far)
@@ -111,24 +99,21 @@ def test_the_input_is_not_changed_and_is_clipped_first(panda):
     assert (far == 10.0).all()
 
 
-def test_an_unreachable_region_fails(panda):
+def test_an_unreachable_region_and_what_is_not_a_number_fail(panda):
     samples = panda.random_configurations(np.random.default_rng(2), 20)
     q, iterations = project_all(panda, (UNREACHABLE,), samples)
     assert (iterations == -1 - MAX_ITERATIONS).all()
     assert (q >= panda.lower).all() and (q <= panda.upper).all()
     assert RegionConstraint(panda, (UNREACHABLE,)).project(samples[0]) is None
-
-
-def test_nan_fails(panda):
-    manifold = RegionConstraint(panda, (upright(),))
-    assert manifold.project(np.full(7, np.nan)) is None
+    assert RegionConstraint(panda, (upright(),)).project(np.full(7, np.nan)) is None
 
 
 def test_an_iteration_limit_of_zero_only_checks(panda):
     manifold = RegionConstraint(panda, (upright(),))
     q = panda.random_configurations(np.random.default_rng(3), 1)[0]
     assert manifold.project(q, max_iterations=0) is None
-    assert manifold.project(manifold.project(q), max_iterations=0) is not None
+    there = manifold.project(q)
+    np.testing.assert_array_equal(manifold.project(there, max_iterations=0), there)
 
 
 def test_inverse_kinematics_reaches_the_pose(panda):

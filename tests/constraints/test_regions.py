@@ -11,21 +11,8 @@ from cvqmpt_lab.constraints.regions import log_map_factor, rotation_vector
 
 log_map_factor, rotation_vector = map(from_python, (log_map_factor, rotation_vector))
 
-ANGLES = [
-    0.0,
-    1e-12,
-    1e-7,
-    1e-5,
-    9e-4,
-    1.1e-3,
-    0.1,
-    1.0,
-    3.0,
-    np.pi - 2e-4,
-    np.pi - 1e-6,
-    np.pi - 1e-9,
-    np.pi,
-]
+BELOW_PI = np.pi - np.array([2e-4, 1e-6, 1e-9, 0.0])
+ANGLES = [0.0, 1e-12, 1e-7, 1e-5, 9e-4, 1.1e-3, 0.1, 1.0, 3.0, *BELOW_PI]
 
 
 def random_axes(count, seed=0):
@@ -75,24 +62,8 @@ def test_log_at_special_angles(angle):
             np.testing.assert_allclose(e, angle * axis, atol=1e-12)
 
 
-@pytest.mark.parametrize("R", [np.diag(d) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])])
-def test_log_of_half_turns_about_the_axes(R):
-    np.testing.assert_allclose(np.abs(log(R)), np.pi * (np.diag(R) > 0), atol=1e-12)
-
-
 @pytest.mark.parametrize("angle", ANGLES)
 def test_inverse_left_jacobian_inverts_the_series(angle):
     for axis in random_axes(20, seed=2):
         e = angle * axis
         np.testing.assert_allclose(inverse_left_jacobian(e) @ left_jacobian(e), np.eye(3), atol=1e-11)
-
-
-def test_inverse_left_jacobian_is_the_derivative_of_log():
-    """d/dt log(exp(t w) R) = Jl^-1 w, by central differences."""
-    rng, h = np.random.default_rng(3), 1e-6
-    for R in Rotation.random(300, rng=rng):
-        e, w = log(R.as_matrix()), rng.standard_normal(3)
-        if np.linalg.norm(e) > np.pi - 1e-3:
-            continue
-        ahead, behind = (log((Rotation.from_rotvec(s * h * w) * R).as_matrix()) for s in (1, -1))
-        np.testing.assert_allclose(inverse_left_jacobian(e) @ w, (ahead - behind) / (2 * h), atol=1e-7)
