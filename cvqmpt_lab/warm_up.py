@@ -8,13 +8,13 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.jit import compile_all, compiled_before
-from cvqmpt_lab.kernels.search.tree_growth import plant, remove_child_of_segment
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.birrt import plant, remove_child_of_segment
 from cvqmpt_lab.search.query import Observation, Proposal, Query, search
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify

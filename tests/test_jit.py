@@ -12,8 +12,8 @@ from compiled_kernels import from_python
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import check_bundle, entry, forget_unused, kernel
-from cvqmpt_lab.kernels.search import lazy_roadmap, motion, shortcut, space_arrays, tree_growth
 from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut, space_arrays
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 
@@ -76,7 +76,7 @@ SIX = np.zeros((3, 6))
 @pytest.mark.parametrize(
     "call",
     [
-        lambda space, trees: tree_growth.grow(space.arrays, trees, SIX, 0, True, 1.0),
+        lambda space, trees: birrt.grow(space.arrays, trees, SIX, 0, True, 1.0),
         lambda space, trees: motion.bisect_motion(space.arrays, SIX[0], SIX[1], 1.0, SIX),
         lambda space, trees: motion.motion_free(space.arrays, SIX[0], SIX[1]),
         lambda space, trees: motion.refine_and_check(space.arrays, SIX, SIX),
@@ -97,7 +97,7 @@ SIX = np.zeros((3, 6))
 )
 def test_six_joints_never_reach_a_kernel_of_seven(problem, call):
     space = ConstrainedSpace(problem)
-    trees = tree_growth.plant(problem.start, problem.goals, 64)
+    trees = birrt.plant(problem.start, problem.goals, 64)
     with pytest.raises(InvalidInputError, match=r"7|n = 6"):
         call(space, trees)
 

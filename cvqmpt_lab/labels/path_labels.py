@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.files import read_json_object
-from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.labels.generation import SceneRecipe, Shard
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -18,6 +17,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
+from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset

@@ -13,8 +13,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.search.edge_verdicts import edge_verdicts
-from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.labels.generation import SceneRecipe, Shard
 from cvqmpt_lab.labels.path_labels import (
     CANDIDATES,
@@ -26,6 +24,7 @@ from cvqmpt_lab.labels.path_labels import (
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.motion import edge_verdicts, motion_free
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY

@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from cvqmpt_lab.distributions import SamplingDistribution, Uniform
-from cvqmpt_lab.kernels.search.space_arrays import ITERATIONS
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space_arrays import ITERATIONS
 
 LEAST_SECONDS = 1e-3
 
@@ -130,8 +130,7 @@ class Search(Protocol):
         """Search a path from start (n,) to any row of goals (k, n) [rad or m]."""
 
 
-Observe = Callable[[Scene], np.ndarray]
-"""Gives the cloud (m, 3) [m, robot base frame] of a scene."""
+Observe = Callable[[Scene], np.ndarray]  # gives the cloud (m, 3) [m, robot base frame] of a scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.search import lazy_roadmap as kernels
+from cvqmpt_lab.search import lazy_roadmap as kernels
 from cvqmpt_lab.search.query import Deadline, Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -91,8 +91,8 @@ class RoadmapQuery:
             edge=np.zeros(neighbours.shape, dtype=np.int8),
             goal_edge=np.zeros((count + 1, len(goals)), dtype=np.int8),
             node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
-            caution=self._weight,
-            price=np.empty((count + 1, neighbours.shape[1] + len(goals))),
+            collision_weight=self._weight,
+            nll=np.empty((count + 1, neighbours.shape[1] + len(goals))),
             judged=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
             factor=factor,
             to_go=np.empty(total),
@@ -104,7 +104,7 @@ class RoadmapQuery:
             heap_node=np.empty(QUEUE * total, dtype=np.int32),
         )
         self._count, self._left = count, settings.searches
-        kernels.link_query(self._graph, 0, np.empty(links, dtype=np.int32), np.empty(links))
+        kernels.link_query(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
 
     def add_nodes(self, added: np.ndarray) -> None:
         """Link more nodes (a, n) to the roadmap, to each other and to start and goals; what was found out is kept."""
@@ -141,7 +141,7 @@ class RoadmapQuery:
             kernels.block_state(self._graph, path, ends, length, bad)  # of a path that failed its fine check
             most = min(self._left, SEARCHES_AT_ONCE, deadline.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search(
-                self._arrays, self._graph, self._edges, most, self._settings.drift, True, path, ends, states
+                self._arrays, self._graph, self._edges, most, self._settings.drift, path, ends, states
             )
             self._space.reraise()
             self._left -= searched

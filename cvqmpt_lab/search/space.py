@@ -11,11 +11,11 @@ from cvqmpt_lab.constraints.project import projection_scratch
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.jit import check_bundle
-from cvqmpt_lab.kernels.search import space_arrays as kernels
-from cvqmpt_lab.kernels.search.motion import DEVIATION, bisect_motion, refine_and_check
-from cvqmpt_lab.kernels.search.single_state import constraint_one, project_one, valid_one
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search import space_arrays as kernels
+from cvqmpt_lab.search.motion import DEVIATION, bisect_motion, refine_and_check
 from cvqmpt_lab.search.result import Counters, JointPath
+from cvqmpt_lab.search.space_arrays import constraint_one, project_one, valid_one
 
 BACKENDS = ("compiled", "exact")
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.search import small_network as kernels
-from cvqmpt_lab.kernels.search.sight import EdgeArrays, fill_distances, judge_motions
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.vqmpt import clearances as kernels
+from cvqmpt_lab.vqmpt.clearances import EdgeArrays, fill_distances, judge_motions
 
 CELL = 0.03  # [m] of the distance field
 LOWER, UPPER = (

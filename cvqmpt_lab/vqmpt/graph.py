@@ -5,13 +5,62 @@ Where the robot's spheres are along all edges is worked out once, so that a new 
 """
 
 from collections import OrderedDict
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.kernels.search.sight import ball_cells, join_looks, look_at_cells
+from cvqmpt_lab.jit import entry
+from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
+from cvqmpt_lab.search.motion import distance
 from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.vqmpt.clearances import ball_cells, join_looks, look_at_cells
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
+
+
+class CodeGraph(NamedTuple):
+    """N nodes, and arcs along the edges between them both ways."""
+
+    nodes: Annotated[np.ndarray, "nodes n"]  # [rad or m]
+    factor: Annotated[np.ndarray, "nodes"]
+    """>= 1, how much longer motions at a node count; inf: a node not to use."""
+    first: Annotated[np.ndarray, "int32 inner"]  # where each node's arcs begin; one more entry than nodes
+    neighbour: Annotated[np.ndarray, "int32 arcs"]  # the node that an arc leads to
+    edge: Annotated[np.ndarray, "int32 arcs"]  # the edge that it belongs to
+    nll: Annotated[np.ndarray, "edges"]  # -log P(free) of each edge
+    weight: float  # what -log P(free) costs [rad]
+    heap: Annotated[np.ndarray, "queue"]  # costs in the queue
+    heap_node: Annotated[np.ndarray, "int32 queue"]  # their nodes
+
+
+@entry
+def cheapest_ways(
+    graph: CodeGraph, cost: Annotated[np.ndarray, "nodes"], parent: Annotated[np.ndarray, "int32 nodes"]
+):
+    """Lower the cost of each node to that of the cheapest way to it from any node that has a cost.
+
+    parent: the node before each on that way, -1 where the way begins.
+    """
+    heap, heap_node, size = graph.heap, graph.heap_node, 0
+    for i in range(cost.shape[0]):
+        parent[i] = -1
+        if cost[i] < np.inf:
+            push(heap, heap_node, size, cost[i], i)
+            size += 1
+    while size > 0:
+        known, here = heap[0], np.int64(heap_node[0])
+        drop_smallest(heap, heap_node, size)
+        size -= 1
+        if known > cost[here]:
+            continue
+        for arc in range(graph.first[here], graph.first[here + 1]):
+            there = np.int64(graph.neighbour[arc])
+            factor = 0.5 * (graph.factor[here] + graph.factor[there])
+            more = known + graph.weight * graph.nll[graph.edge[arc]]
+            more += factor * distance(graph.nodes[here], graph.nodes[there])
+            if more < cost[there] and size < heap.shape[0]:
+                cost[there], parent[there] = more, here
+                push(heap, heap_node, size, more, there)
+                size += 1
 
 
 class Links(NamedTuple):

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cvqmpt_lab.distributions import GaussianMixture
-from cvqmpt_lab.kernels.search.code_graph import CodeGraph, cheapest_ways
 from cvqmpt_lab.search.query import Observation, Proposal, Query
 from cvqmpt_lab.search.result import Timings
-from cvqmpt_lab.vqmpt.graph import CodeRoadmap, nearest_rows
+from cvqmpt_lab.vqmpt.graph import CodeGraph, CodeRoadmap, cheapest_ways, nearest_rows
 
 QUEUE = 40  # entries of the queue a node
 

@@ -10,12 +10,12 @@ import numpy as np
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.distributions import Uniform
-from cvqmpt_lab.kernels.search import tree_growth as kernels
 from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import random_scene
+from cvqmpt_lab.search import birrt as kernels
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.query import Observation, Query
 from cvqmpt_lab.search.result import Budget, PlanStatus

@@ -8,13 +8,13 @@ import numpy as np
 from cvqmpt_lab.collision.arrays import scene_arrays
 from cvqmpt_lab.constraints.project import project_batch, projection_scratch
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, RegionConstraint, upright
-from cvqmpt_lab.kernels.search.space_arrays import Space, states_valid
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space_arrays import Space, states_valid
 from experiments.bench.measurement import Measurement
 
 STATES = 20_000  # per timed batch

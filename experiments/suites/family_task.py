@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.place_task import UnsolvableProblem
 

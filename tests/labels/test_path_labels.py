@@ -11,7 +11,6 @@ from cli.main import main
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked
-from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.labels import generation, path_labels
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.path_labels import PathRecipe, dataset_card
@@ -19,6 +18,7 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
+from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.stage1 import LinkPositions
 

@@ -17,7 +17,6 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.kernels.search.space_arrays import StateCheck
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import PLANNERS, Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -27,6 +26,7 @@ from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.query import Proposal
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
+from cvqmpt_lab.search.space_arrays import StateCheck
 
 LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
 OURS = ("birrt", "guided-birrt")

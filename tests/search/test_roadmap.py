@@ -6,9 +6,9 @@ import pytest
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
+from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.query import Deadline
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.roadmap import (
@@ -123,8 +123,8 @@ def test_edges_cost_what_the_model_says(problem, roadmap, model, cloud):
     assert len(rows) > 50
     motions = np.stack([graph.nodes[rows], graph.nodes[roadmap.neighbours[rows, slots]]], axis=1)
     _, odds = model.log_odds(cloud, motions)
-    np.testing.assert_allclose(graph.price[rows, slots], np.log1p(np.exp(-odds)), rtol=1e-6)
-    assert np.ptp(graph.price[rows, slots]) > 1.0
+    np.testing.assert_allclose(graph.nll[rows, slots], np.log1p(np.exp(-odds)), rtol=1e-6)
+    assert np.ptp(graph.nll[rows, slots]) > 1.0
 
 
 def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):

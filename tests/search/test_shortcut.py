@@ -5,10 +5,10 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.rows import path_hash
 
 LONG = SimplifySettings(attempts=400, seconds=100.0, patience=1000)
 
@@ -40,14 +40,14 @@ def test_every_round_is_at_most_as_long(solution, space):
 
 
 def test_the_path_and_the_input_are_not_shared(solution, space):
-    before = path_hash(solution.plan.path)
+    before = states_hash(solution.plan.path.states)
     simplified(space, solution.plan.path, LONG)
-    assert path_hash(solution.plan.path) == before
+    assert states_hash(solution.plan.path.states) == before
 
 
 def test_one_seed_gives_one_path(problem, solution):
     paths = [simplified(ConstrainedSpace(problem), solution.plan.path, LONG, s).path for s in (7, 7, 8)]
-    assert path_hash(paths[0]) == path_hash(paths[1]) != path_hash(paths[2])
+    assert states_hash(paths[0].states) == states_hash(paths[1].states) != states_hash(paths[2].states)
 
 
 def test_backends_agree(problem, solution):
@@ -57,13 +57,13 @@ def test_backends_agree(problem, solution):
         ).path
         for backend in ("compiled", "exact")
     ]
-    assert path_hash(paths[0]) == path_hash(paths[1])
+    assert states_hash(paths[0].states) == states_hash(paths[1].states)
 
 
 @pytest.mark.parametrize("settings", [SimplifySettings(attempts=0), SimplifySettings(seconds=1e-9)])
 def test_no_attempts_change_nothing(solution, space, settings):
     result = simplified(space, solution.plan.path, settings)
-    assert path_hash(result.path) == path_hash(solution.plan.path)
+    assert states_hash(result.path.states) == states_hash(solution.plan.path.states)
     assert result.counters.projections == 0
 
 

@@ -5,10 +5,10 @@ import pytest
 
 from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.kernels.search.sight import FARTHEST, NEAREST
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.training.edge_training import fit_edge_model
+from cvqmpt_lab.vqmpt.clearances import FARTHEST, NEAREST
 from cvqmpt_lab.vqmpt.edge_model import CELL, EdgeModel, SmallNetwork
 
 

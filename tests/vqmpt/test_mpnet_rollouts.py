@@ -9,6 +9,7 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS, Method
+from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
@@ -22,7 +23,7 @@ from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts, MPNetSettings
 from cvqmpt_lab.vqmpt.weights import RobotSignature
-from experiments.rows import Run, path_hash, result_row
+from experiments.rows import Run, result_row
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)
@@ -149,8 +150,10 @@ def test_it_solves_a_place_problem(tuning, make):
 def test_the_same_seed_gives_the_same_path_bit_for_bit(tuning):
     mpnet = mpnet_of(tuning.robot)
     first, again, other = (plan(tuning, mpnet, seed=seed) for seed in (3, 3, 4))
-    assert path_hash(first.path) == path_hash(again.path) and first.counters == again.counters
-    assert path_hash(first.path) != path_hash(other.path)
+    assert (
+        states_hash(first.path.states) == states_hash(again.path.states) and first.counters == again.counters
+    )
+    assert states_hash(first.path.states) != states_hash(other.path.states)
 
 
 @pytest.mark.parametrize("limit", [1, 7, 60])
@@ -189,7 +192,7 @@ def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
 def test_another_cloud_is_another_answer(tuning):
     mpnet = mpnet_of(tuning.robot, random_network())
     other = mpnet_of(tuning.robot, random_network(), lambda scene: cloud_of(scene) + 3.0)
-    assert path_hash(plan(tuning, mpnet).path) != path_hash(plan(tuning, other).path)
+    assert states_hash(plan(tuning, mpnet).path.states) != states_hash(plan(tuning, other).path.states)
 
 
 def test_bad_input_is_named(tuning):

@@ -7,8 +7,8 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import CONTROLS, PLANNERS, REMOVED, planner_named
+from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from experiments.rows import path_hash
 from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)
@@ -28,7 +28,10 @@ def plan(problem, name, budget=ENOUGH, seed=0):
 def test_controls_solve_repeat_and_give_up(problem, name):
     first, second = plan(problem, name), plan(problem, name)
     assert first.status is PlanStatus.SOLVED and certify(problem, first.path).valid
-    assert path_hash(first.path) == path_hash(second.path) and first.counters == second.counters
+    assert (
+        states_hash(first.path.states) == states_hash(second.path.states)
+        and first.counters == second.counters
+    )
     assert plan(problem, name, Budget(seconds=1e-9)).status is PlanStatus.TIMEOUT
 
 

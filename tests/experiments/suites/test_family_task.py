@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.kernels.search.motion import motion_free
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import check_problem
+from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.family_task import ROBOTS, family_problem

@@ -7,8 +7,38 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.kernels.search.small_network import SmallNetwork, answer
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
+
+
+class SmallNetwork(NamedTuple):
+    """Weights, and room for one question."""
+
+    first: Annotated[np.ndarray, "hidden inputs"]  # weights of the first layer
+    first_bias: Annotated[np.ndarray, "hidden"]  # of the first layer
+    second: Annotated[np.ndarray, "more hidden"]  # weights
+    second_bias: Annotated[np.ndarray, "more"]  # of the second layer
+    last: Annotated[np.ndarray, "more"]  # weights of the answer
+    last_bias: float  # of the answer
+    features: Annotated[np.ndarray, "inputs"]  # the question
+    hidden: Annotated[np.ndarray, "hidden"]  # work array
+
+
+@kernel
+def answer(network):
+    """What the network says to network.features."""
+    for h in range(network.first.shape[0]):
+        value = network.first_bias[h]
+        for i in range(network.first.shape[1]):
+            value += network.first[h, i] * network.features[i]
+        network.hidden[h] = max(value, 0.0)
+    total = network.last_bias
+    for h in range(network.second.shape[0]):
+        value = network.second_bias[h]
+        for i in range(network.second.shape[1]):
+            value += network.second[h, i] * network.hidden[i]
+        total += network.last[h] * max(value, 0.0)
+    return total
+
 
 NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 REACH = 0.25  # [m] distances to the cloud are cut off here: more than the largest ball and FARTHEST
@@ -18,26 +48,17 @@ STEPS = 255.0  # of a stored byte
 class EdgeArrays(NamedTuple):
     """Distances to a cloud on a grid, a robot's balls, and the network that reads their clearances."""
 
-    origin: Annotated[np.ndarray, "3"]
-    """Corner of the grid [m]."""
-    cell: float
-    """Edge of a cell [m]."""
+    origin: Annotated[np.ndarray, "3"]  # corner of the grid [m]
+    cell: float  # edge of a cell [m]
     distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
     """From the middle of each cell to the nearest point of the cloud, in REACH / 255."""
-    sphere: Annotated[np.ndarray, "balls 4"]
-    """Centre in its link's frame, and radius [m]."""
-    row: Annotated[np.ndarray, "int64 balls"]
-    """Pose row of each ball's link."""
-    spacing: float
-    """At most, between the states of a motion that are looked at [rad]."""
-    network: SmallNetwork
-    """Reads the smallest clearance of every joint's balls, then the motion's length."""
-    state: Annotated[np.ndarray, "n"]
-    """Work array."""
-    rotation: Annotated[np.ndarray, "rows 3 3"]
-    """Work array."""
-    translation: Annotated[np.ndarray, "rows 3"]
-    """Work array."""
+    sphere: Annotated[np.ndarray, "balls 4"]  # centre in its link's frame, and radius [m]
+    row: Annotated[np.ndarray, "int64 balls"]  # pose row of each ball's link
+    spacing: float  # at most, between the states of a motion that are looked at [rad]
+    network: SmallNetwork  # reads the smallest clearance of every joint's balls, then the motion's length
+    state: Annotated[np.ndarray, "n"]  # work array
+    rotation: Annotated[np.ndarray, "rows 3 3"]  # work array
+    translation: Annotated[np.ndarray, "rows 3"]  # work array
 
 
 @entry
@@ -124,7 +145,7 @@ def look_along(kinematics, sight, a, b):
 
 
 @kernel
-def surprise(kinematics, sight, a, b):
+def edge_nll(kinematics, sight, a, b):
     """-log P(free) of the straight motion from a to b (n,)."""
     look_along(kinematics, sight, a, b)
     odds = answer(sight.network)

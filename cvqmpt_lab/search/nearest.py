@@ -21,16 +21,13 @@ CAUTION = 1.0 - 1e-12  # boxes are believed to be this much closer than computed
 class NearestIndex(NamedTuple):
     """Balanced search trees over the nodes of two growing trees, and room for a search."""
 
-    order: Annotated[np.ndarray, "int32 2 capacity"]
-    """Node numbers, sorted by leaves within each search tree."""
+    order: Annotated[np.ndarray, "int32 2 capacity"]  # node numbers, sorted by leaves within each search tree
     box: Annotated[np.ndarray, "2 boxes 2 n"]
     """Lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]."""
     indexed: Annotated[np.ndarray, "int64 2"]
     """How many nodes of each tree are in the index, a multiple of BLOCK."""
-    stack: Annotated[np.ndarray, "int64 levels"]
-    """Boxes still to be looked at."""
-    bound: Annotated[np.ndarray, "levels"]
-    """Squared distances of these."""
+    stack: Annotated[np.ndarray, "int64 levels"]  # boxes still to be looked at
+    bound: Annotated[np.ndarray, "levels"]  # squared distances of these
 
 
 def nearest_index(capacity: int, n: int) -> NearestIndex:

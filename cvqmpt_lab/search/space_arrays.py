@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.collision.checker import FREE, first_contact
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
-from cvqmpt_lab.constraints.regions import Regions
+from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
@@ -53,30 +53,19 @@ class StateCheck:
 class Space(NamedTuple):
     """Everything a planning kernel needs."""
 
-    kinematics: Kinematics
-    """Of the robot."""
-    regions: Regions
-    """The constraint."""
-    robot: RobotGeometry
-    """Convex pieces."""
-    scene: SceneGeometry
-    """Obstacles."""
-    tolerance: float
-    """Of |F| after projection [m, rad]."""
-    max_iterations: int
-    """Newton steps per projection."""
-    step: float
-    """Longest motion between neighbouring states [rad]."""
-    resolution: float
-    """Spacing of the exact backend's final check of a motion [rad]."""
-    margin: float
-    """Kept from obstacles [m]."""
-    exact: bool
-    """Whether states are checked through the callback."""
+    kinematics: Kinematics  # of the robot
+    regions: Regions  # the constraint
+    robot: RobotGeometry  # convex pieces
+    scene: SceneGeometry  # obstacles
+    tolerance: float  # of |F| after projection [m, rad]
+    max_iterations: int  # newton steps per projection
+    step: float  # longest motion between neighbouring states [rad]
+    resolution: float  # spacing of the exact backend's final check of a motion [rad]
+    margin: float  # kept from obstacles [m]
+    exact: bool  # whether states are checked through the callback
     check: int
     """Address of the callback. (As an object, numba would take half a millisecond a call to find its type.)"""
-    query: Annotated[np.ndarray, "n"]
-    """Through which the callback is asked."""
+    query: Annotated[np.ndarray, "n"]  # through which the callback is asked
     doubtful: Annotated[np.ndarray, "doubtful n"]
     """Configurations that the compiled checker blocks but the meshes allow: near them, a state that it
     calls colliding is asked for again through the callback.
@@ -85,10 +74,8 @@ class Space(NamedTuple):
     """No point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]."""
     counters: Annotated[np.ndarray, "int64 4"]
     """Rows PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS."""
-    state: Annotated[np.ndarray, "n"]
-    """Work array."""
-    scratch: ProjectionScratch
-    """Work arrays of projections."""
+    state: Annotated[np.ndarray, "n"]  # work array
+    scratch: ProjectionScratch  # work arrays of projections
 
 
 @kernel(inline="source")
@@ -148,3 +135,40 @@ def states_valid(
     """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
     for i in range(configurations.shape[0]):
         out[i] = state_valid(space, configurations[i])
+
+
+@entry
+def project_one(space: Space, q: Annotated[np.ndarray, "n"]):
+    """Project q (n,) in place; True on success."""
+    return project_state(space, q)
+
+
+@entry
+def valid_one(space: Space, q: Annotated[np.ndarray, "n"]):
+    """Whether q (n,) is free of collision."""
+    return state_valid(space, q)
+
+
+@entry
+def constraint_one(
+    space: Space,
+    q: Annotated[np.ndarray, "n"],
+    full: bool,
+    out_residual: Annotated[np.ndarray, "m"],
+    out_jacobian: Annotated[np.ndarray, "m n"],
+):
+    """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
+    scratch = space.scratch
+    rotation, translation = scratch.link_rotation, scratch.link_translation
+    forward_kinematics(space.kinematics, q, rotation, translation)
+    residual(space.regions, rotation, translation, out_residual, scratch.displacement)
+    jacobian(
+        space.kinematics,
+        space.regions,
+        rotation,
+        translation,
+        scratch.displacement,
+        full,
+        out_residual,
+        out_jacobian,
+    )

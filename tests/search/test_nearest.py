@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from compiled_kernels import from_python
 
-from cvqmpt_lab.kernels.search.nearest import (
+from cvqmpt_lab.search.nearest import (
     BLOCK,
     LEAF,
     enlarged_index,

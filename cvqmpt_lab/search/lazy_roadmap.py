@@ -11,10 +11,38 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.kernels.search.heap import drop_smallest, push
-from cvqmpt_lab.kernels.search.motion import bisect_motion, distance
-from cvqmpt_lab.kernels.search.sight import EdgeArrays, surprise
-from cvqmpt_lab.kernels.search.space_arrays import Space, project_state, state_valid
+from cvqmpt_lab.search.motion import bisect_motion, distance
+from cvqmpt_lab.search.space_arrays import Space, project_state, state_valid
+from cvqmpt_lab.vqmpt.clearances import EdgeArrays, edge_nll
+
+
+@kernel(inline="machine")
+def push(keys, values, size, key, value):
+    """Put (key, value) into the binary heap of size entries."""
+    i = size
+    while i > 0 and keys[(i - 1) // 2] > key:
+        up = (i - 1) // 2
+        keys[i], values[i] = keys[up], values[up]
+        i = up
+    keys[i], values[i] = key, value
+
+
+@kernel(inline="machine")
+def drop_smallest(keys, values, size):
+    """Take the first of size entries out of the binary heap."""
+    last = size - 1
+    key, value = keys[last], values[last]
+    i = 0
+    while 2 * i + 1 < last:
+        child = 2 * i + 1
+        if child + 1 < last and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[i], values[i] = keys[child], values[child]
+        i = child
+    keys[i], values[i] = key, value
+
 
 UNKNOWN, FREE, BLOCKED = range(3)
 NO_PATH = 0  # instead of a number of states
@@ -24,38 +52,25 @@ FARTHEST = np.inf  # [rad] of a motion on the manifold; its neighbours' distance
 class Roadmap(NamedTuple):
     """N nodes, a start and G goals, and room for searches. Rows of `nodes`: N nodes, the start, G goals."""
 
-    nodes: Annotated[np.ndarray, "rows n"]
-    """Configurations, projected in place [rad or m]."""
-    neighbours: Annotated[np.ndarray, "int32 inner links"]
-    """Nodes that a row leads to, or -1."""
-    edge: Annotated[np.ndarray, "int8 inner links"]
-    """Verdicts on those edges."""
+    nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
+    neighbours: Annotated[np.ndarray, "int32 inner links"]  # nodes that a row leads to, or -1
+    edge: Annotated[np.ndarray, "int8 inner links"]  # verdicts on those edges
     goal_edge: Annotated[np.ndarray, "int8 inner goals"]
     """Verdicts on the edges from each row to each goal; BLOCKED where there is none."""
-    node: Annotated[np.ndarray, "int8 rows"]
-    """Verdicts."""
-    caution: float
-    """What -log P(free) of an edge costs [rad]; 0 to look at nothing."""
-    price: Annotated[np.ndarray, "inner exits"]
+    node: Annotated[np.ndarray, "int8 rows"]  # verdicts
+    collision_weight: float  # what -log P(free) of an edge costs [rad]; 0: edges cost their length
+    nll: Annotated[np.ndarray, "inner exits"]
     """-log P(free) of each edge, and of those to each goal, where they were judged."""
     judged: Annotated[np.ndarray, "int8 inner exits"]
     """One more than how many of an edge's ends were on the manifold when it was judged; 0: not judged."""
-    factor: Annotated[np.ndarray, "rows"]
-    """>= 1, how much longer edges at a node count."""
-    to_go: Annotated[np.ndarray, "rows"]
-    """Distance to the nearest goal [rad]."""
-    cost: Annotated[np.ndarray, "rows"]
-    """From the start, in a search."""
-    parent: Annotated[np.ndarray, "int32 rows"]
-    """Row before each one."""
-    slot: Annotated[np.ndarray, "int32 rows"]
-    """Edge by which each row was reached."""
-    closed: Annotated[np.ndarray, "int8 rows"]
-    """Rows that are done."""
-    heap: Annotated[np.ndarray, "queue"]
-    """Costs in the queue."""
-    heap_node: Annotated[np.ndarray, "int32 queue"]
-    """Their rows."""
+    factor: Annotated[np.ndarray, "rows"]  # >= 1, how much longer edges at a node count
+    to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
+    cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
+    parent: Annotated[np.ndarray, "int32 rows"]  # row before each one
+    slot: Annotated[np.ndarray, "int32 rows"]  # edge by which each row was reached
+    closed: Annotated[np.ndarray, "int8 rows"]  # rows that are done
+    heap: Annotated[np.ndarray, "queue"]  # costs in the queue
+    heap_node: Annotated[np.ndarray, "int32 queue"]  # their rows
 
 
 @entry
@@ -88,14 +103,10 @@ def nearest_nodes(
 @entry
 def link_query(
     roadmap: Roadmap,
-    direct: int,
     chosen: Annotated[np.ndarray, "int32 links"],
     squares: Annotated[np.ndarray, "links"],
 ):
-    """Link the start and every goal to their chosen.shape[0] nearest nodes, the start also to its nearest goals.
-
-    direct: how many goals the start may lead to at once. chosen, squares: int32 and float work arrays.
-    """
+    """Link the start and every goal to their chosen.shape[0] nearest nodes; chosen, squares: work arrays."""
     goals = roadmap.goal_edge.shape[1]
     count = roadmap.nodes.shape[0] - 1 - goals
     for i in range(roadmap.nodes.shape[0]):
@@ -106,33 +117,27 @@ def link_query(
     for slot in range(chosen.shape[0]):
         roadmap.neighbours[count, slot] = chosen[slot]
     for g in range(goals):
-        closer = 0
-        gap = distance(roadmap.nodes[count], roadmap.nodes[count + 1 + g])
-        for other in range(goals if direct > 0 else 0):
-            closer += distance(roadmap.nodes[count], roadmap.nodes[count + 1 + other]) < gap
         for i in range(count + 1):
             roadmap.goal_edge[i, g] = BLOCKED
-        if closer < direct:
-            roadmap.goal_edge[count, g] = UNKNOWN
         nearest_nodes(roadmap.nodes, count, roadmap.nodes[count + 1 + g], chosen, squares)
         for slot in range(chosen.shape[0]):
             roadmap.goal_edge[chosen[slot], g] = UNKNOWN
 
 
 @kernel(inline="source")
-def _price(kinematics, roadmap, sight, here, slot, there, verdict):
-    """What the doubt about an edge costs [rad]; judged anew once an end has been put on the manifold."""
-    if roadmap.caution == 0.0 or verdict == FREE:
+def _edge_cost(kinematics, roadmap, edges, here, slot, there, verdict):
+    """Weighted -log P(free) [rad] of an edge, computed again once an end has been projected; 0 for one that is free."""
+    if roadmap.collision_weight == 0.0 or verdict == FREE:
         return 0.0
     state = 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
     if roadmap.judged[here, slot] != state:
         roadmap.judged[here, slot] = state
-        roadmap.price[here, slot] = surprise(kinematics, sight, roadmap.nodes[here], roadmap.nodes[there])
-    return roadmap.caution * roadmap.price[here, slot]
+        roadmap.nll[here, slot] = edge_nll(kinematics, edges, roadmap.nodes[here], roadmap.nodes[there])
+    return roadmap.collision_weight * roadmap.nll[here, slot]
 
 
 @kernel
-def _astar(kinematics, roadmap, sight):
+def _astar(kinematics, roadmap, edges):
     """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the path."""
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
     start = roadmap.nodes.shape[0] - 1 - goals
@@ -160,7 +165,7 @@ def _astar(kinematics, roadmap, sight):
             cost = roadmap.cost[here] + weight * distance(roadmap.nodes[here], roadmap.nodes[there])
             if cost >= roadmap.cost[there]:
                 continue
-            cost += _price(kinematics, roadmap, sight, here, slot, there, verdict)
+            cost += _edge_cost(kinematics, roadmap, edges, here, slot, there, verdict)
             if cost < roadmap.cost[there] and size < heap.shape[0]:
                 roadmap.cost[there], roadmap.parent[there], roadmap.slot[there] = cost, here, slot
                 push(heap, heap_node, size, cost + roadmap.to_go[there], there)
@@ -193,19 +198,14 @@ def _settle_edge(roadmap, a, b, verdict):
 
 
 @kernel(inline="source")
-def _join_nodes(space, roadmap, check, path, length, ends, states):
+def _join_nodes(space, roadmap, path, length, ends, states):
     """Write the states of the motions along a path's nodes; their number, or NO_PATH with an edge newly blocked."""
     n, size = roadmap.nodes.shape[1], 1
     for j in range(n):
         states[0, j] = roadmap.nodes[path[length - 1], j]
     for i in range(length - 2, -1, -1):
         a, b = path[i + 1], path[i]
-        if check:
-            added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], FARTHEST, states[size:])
-        else:
-            added = 1
-            for j in range(n):
-                states[size, j] = roadmap.nodes[b, j]
+        added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], FARTHEST, states[size:])
         if added == 0:
             _settle_edge(roadmap, a, b, BLOCKED)
             return NO_PATH
@@ -219,10 +219,9 @@ def _join_nodes(space, roadmap, check, path, length, ends, states):
 def search(
     space: Space,
     roadmap: Roadmap,
-    sight: EdgeArrays,
+    edges: EdgeArrays,
     most_searches: int,
     drift: float,
-    check: bool,
     path: Annotated[np.ndarray, "int64 longest"],
     ends: Annotated[np.ndarray, "int64 longest"],
     states: Annotated[np.ndarray, "room n"],
@@ -232,7 +231,6 @@ def search(
     Parameters
     ----------
     drift: nodes that projection moves further than this are left out [rad].
-    check: otherwise no node and no edge is projected or checked, and the path is one of believed nodes.
     path, ends: rows of the path's nodes from goal to start, and where each edge's states end.
     states: motions between them are not checked yet.
 
@@ -243,7 +241,7 @@ def search(
     """
     length = 0
     for searched in range(most_searches):
-        row, length = _astar(space.kinematics, roadmap, sight), 0
+        row, length = _astar(space.kinematics, roadmap, edges), 0
         while row >= 0 and length < path.shape[0]:
             path[length] = row
             length += 1
@@ -252,11 +250,11 @@ def search(
             return NO_PATH, 0, searched + 1
         good = True
         for i in range(length - 2, 0, -1):
-            if check and good and not _node_free(space, roadmap, path[i], drift):
+            if good and not _node_free(space, roadmap, path[i], drift):
                 good = False
         if not good:
             continue
-        size = _join_nodes(space, roadmap, check, path, length, ends, states)
+        size = _join_nodes(space, roadmap, path, length, ends, states)
         if size == NO_PATH:
             continue
         return size, length, searched + 1

@@ -5,14 +5,14 @@ import pytest
 
 from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.collision.geometry import swing
-from cvqmpt_lab.kernels.search.motion import motion_free
-from cvqmpt_lab.kernels.search.space_arrays import states_valid
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
+from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space_arrays import states_valid
 from experiments.bench.state_checks import near_contact
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])

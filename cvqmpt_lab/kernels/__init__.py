@@ -1,1 +1,0 @@
-"""Compiled inner loops on plain arrays: no robot, scene or problem types in here."""

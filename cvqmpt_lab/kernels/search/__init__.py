@@ -1,1 +1,0 @@
-"""Motions, tree growth, lazy roadmap and shortcuts on a space's arrays."""
