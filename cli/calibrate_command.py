@@ -8,7 +8,7 @@ import numpy as np
 from cli.motion_options import configuration
 from cli.options import positive_int, writable_file
 from cli.robot_options import add_robot, chosen_robot
-from cvqmpt_lab.codec.documents import to_text
+from cvqmpt_lab.codec.plain import to_text
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.sensing.calibration import calibrate
 from cvqmpt_lab.sensing.camera_files import read_extrinsics

@@ -8,8 +8,7 @@ import numpy as np
 
 from cli.motion_options import pose_region
 from cli.options import positive_int
-from cvqmpt_lab.codec.documents import to_text
-from cvqmpt_lab.codec.plain import from_plain, located, mapping
+from cvqmpt_lab.codec.plain import from_plain, located, mapping, to_text
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int, writable_file
-from cvqmpt_lab.codec.documents import to_text
+from cvqmpt_lab.codec.plain import to_text
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.pipeline import with_sampled_goals

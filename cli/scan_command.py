@@ -7,8 +7,7 @@ from cli.motion_options import configuration
 from cli.options import writable_file
 from cli.robot_options import add_robot, chosen_robot
 from cli.scan_options import add_scan, scan_of, scan_report, scene_of
-from cvqmpt_lab.codec.documents import to_text
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec.plain import to_plain, to_text
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.problem import PlanningProblem

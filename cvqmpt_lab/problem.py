@@ -28,9 +28,8 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from cvqmpt_lab.codec.documents import Document
 from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Schema
-from cvqmpt_lab.codec.plain import mapping, unique
+from cvqmpt_lab.codec.plain import Document, mapping, unique
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region

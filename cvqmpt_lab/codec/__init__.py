@@ -1,1 +1,1 @@
-"""Dataclasses to json and back: values, forms, files of their own, and json schemas."""
+"""Dataclasses to json and back: values, files, forms and json schemas."""

@@ -1,4 +1,4 @@
-"""How names, lengths, arrays and unions stand in json."""
+"""Forms of values in json: conditions, arrays, unions of dataclasses, lists; see `plain`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,13 +17,13 @@ Schema: TypeAlias = Callable[[Any], dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Such:
-    """A plain value with one more condition."""
+class Condition:
+    """A value of a plain kind that meets a condition."""
 
     kind: Any
     holds: Callable[[Any], bool]
-    must: str  # The condition, after "it must be"
-    keywords: Mapping[str, Any]  # The condition as json schema
+    must: str  # the condition, after "it must be"
+    keywords: Mapping[str, Any]  # the condition as json schema
 
     def read(self, value: Any, where: str) -> Any:
         """Refuse a value without the condition."""
@@ -43,10 +43,10 @@ class Such:
 
 @dataclass(frozen=True)
 class Array:
-    """Finite numbers of a shape, a read-only array when made."""
+    """Finite numbers of a shape, read as a read-only array."""
 
     shape: tuple[int | None, ...]  # None for any length
-    what: str = "numbers"  # What they are, with the unit
+    what: str = "numbers"  # what they are, with the unit
 
     def read(self, value: Any, where: str) -> FloatArray:
         """Refuse another shape, NaN and infinity."""
@@ -82,18 +82,16 @@ class Tagged:
 
     key: str
     choices: Mapping[str, type]
-    by_path: Mapping[str, type] = field(default_factory=dict)
-    """What may stand in a file instead, and is replaced when the file is read."""
+    by_path: Mapping[str, type] = field(default_factory=dict)  # replaced when a file that has them is read
 
     def read(self, value: Any, where: str) -> Any:
-        """Make the dataclass that the name chooses."""
+        """The dataclass that the name chooses."""
         if type(value) in self.choices.values():
             return value
-        fields = dict(
-            mapping(value, where, f"{self.key!r}, one of {', '.join(self.choices)}, and its fields")
-        )
+        listed = ", ".join(self.choices)
+        fields = dict(mapping(value, where, f"{self.key!r}, one of {listed}, and its fields"))
         if self.key not in fields:
-            raise InvalidInputError(f"{at(where, self.key)} is missing; one of {', '.join(self.choices)}")
+            raise InvalidInputError(f"{at(where, self.key)} is missing; one of {listed}")
         name = fields.pop(self.key)
         if isinstance(name, str) and name in self.by_path:
             raise InvalidInputError(
@@ -140,23 +138,17 @@ class OneOrMore:
         return {"anyOf": [one, {"type": "array", "items": one}]}
 
 
-def _is_name(text: str) -> bool:
-    return 0 < len(text) <= 200 and text.isprintable()
-
-
-def _is_positive(length: float) -> bool:
-    return length > 0.0
-
-
-def _is_not_negative(length: float) -> bool:
-    return length >= 0.0
-
-
+NAME_LENGTHS = {"minLength": 1, "maxLength": 200}
 Name = Annotated[
-    str, Such(str, _is_name, "1 to 200 printable characters", {"minLength": 1, "maxLength": 200})
+    str,
+    Condition(
+        str, lambda s: 0 < len(s) <= 200 and s.isprintable(), "1 to 200 printable characters", NAME_LENGTHS
+    ),
 ]
-Length = Annotated[float, Such(float, _is_positive, "a positive length [m]", {"exclusiveMinimum": 0})]
-Padding = Annotated[float, Such(float, _is_not_negative, "a length of 0 or more [m]", {"minimum": 0})]
+Length = Annotated[
+    float, Condition(float, lambda x: x > 0.0, "a positive length [m]", {"exclusiveMinimum": 0})
+]
+Padding = Annotated[float, Condition(float, lambda x: x >= 0.0, "a length of 0 or more [m]", {"minimum": 0})]
 
 
 def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:

@@ -1,4 +1,4 @@
-"""Json schemas of documents, for editors: made from the annotations that read them and the notes under the fields."""
+"""Json schemas of problem and task files, for editors: from the annotations and comments of their fields."""
 
 import ast
 import dataclasses
@@ -10,11 +10,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cvqmpt_lab.codec.documents import EDITOR, Document
-from cvqmpt_lab.codec.plain import COMMENT, UNIONS, field_defaults, field_kinds
+from cvqmpt_lab.codec.plain import COMMENT, EDITOR, UNIONS, Document, field_defaults, field_kinds
 
-FOLDER = Path(__file__).parents[1] / "schemas"
-"""Where the schemas that ship are, `problem.schema.json` and `task.schema.json`."""
+FOLDER = Path(__file__).parents[1] / "schemas"  # of problem.schema.json and task.schema.json
 
 SCALARS: Mapping[Any, dict[str, Any]] = {
     float: {"type": "number"},
@@ -43,13 +41,13 @@ def schema_of(kind: type[Document]) -> dict[str, Any]:
 
 
 class _Builder:
-    """Schemas of types; those of forms with a title are shared."""
+    """Schemas of types; a form with a title is defined once, in `shared`."""
 
     def __init__(self) -> None:
         self.shared: dict[str, Any] = {}
 
     def of(self, kind: Any) -> dict[str, Any]:
-        """What json schema says of a type that `codec.from_plain` reads."""
+        """The schema of a type that `from_plain` reads."""
         origin, parts = typing.get_origin(kind), typing.get_args(kind)
         if origin is Annotated:
             return self._form(parts[1])
@@ -87,7 +85,7 @@ class _Builder:
 
 
 def _notes(kind: type) -> dict[str, str]:
-    """What is written about each field of a dataclass, at the end of its line or below it; bases included."""
+    """The comment or docstring of each field of a dataclass, bases included."""
     notes: dict[str, str] = {}
     for base in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
         source = textwrap.dedent(inspect.getsource(base))

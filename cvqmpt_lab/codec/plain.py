@@ -1,7 +1,8 @@
-"""Frozen dataclasses to json and back, by the annotations of their fields: written once, they read, write and check.
+"""Frozen dataclasses to json and back: the annotations of their fields say how they are read, written and checked.
 
-Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses, and `Annotated[T, form]`,
-whose form says how a T stands in json (see `forms`). A field "_comment" may stand in every object and is ignored.
+Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and `Annotated[T, form]`.
+A form (see `forms`) has `read(value, where)`, which makes a T from json or checks one; `write(value)`, its json; and
+`schema(of)`, its json schema, where `of` gives that of a type. A field "_comment" is ignored in every object.
 """
 
 import contextlib
@@ -10,42 +11,26 @@ import json
 import math
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from numbers import Integral, Real
-from typing import Annotated, Any, Literal, Protocol
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest, shown
+from cvqmpt_lab.files import read_json_object, write_text
 
 COMMENT = "_comment"
 SCALARS: Mapping[Any, type] = {float: Real, int: Integral, str: str, bool: bool}
 UNIONS = (types.UnionType, typing.Union)  # understood with None only
 
 
-class Form(Protocol):
-    """How a value stands in json."""
-
-    def read(self, value: Any, where: str) -> Any:
-        """Make the value from json, or check one that is made; errors begin with `where`."""
-
-    def write(self, value: Any) -> Any:
-        """Json that `read` makes the value of."""
-
-    def schema(self, of: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """What json schema says of it; `of` gives what it says of a type."""
-
-
 def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
-    """Make a value of type `kind` from json; one that is made already is checked.
+    """Make a value of type `kind` from json, or check one; errors name, after `where`, the field that is wrong.
 
     complete: fields with a default must be given too.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError
-        Naming, after `where`, the field that is unknown, missing or of the wrong type.
     """
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
@@ -67,7 +52,7 @@ def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -
 
 
 def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
-    """Json of a value of type `kind` (its own); fields that have their default are left out unless complete."""
+    """Json of a value of type `kind` (its own); fields with their default value are left out unless complete."""
     kind = type(value) if kind is None else kind
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if value is None:
@@ -92,7 +77,7 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
 
 
 class Checked:
-    """Base of frozen dataclasses (eq=False) that check their fields when made, and are equal by content."""
+    """Base of frozen dataclasses (eq=False) that check their fields when made and are compared by content."""
 
     def __post_init__(self) -> None:
         name = getattr(self, "name", None)
@@ -156,7 +141,7 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
 
 def field_kinds(kind: Any) -> dict[str, Any]:
     """The annotation of each field of a dataclass."""
-    return _field_kinds(kind)
+    return _field_kinds(kind)  # mypy takes classes that define __hash__ for arguments no cache can have
 
 
 @cache
@@ -226,3 +211,66 @@ def _content(value: Any) -> Any:
     if isinstance(value, Mapping):
         return tuple((name, _content(part)) for name, part in value.items())
     return tuple(map(_content, value)) if isinstance(value, tuple | list) else value
+
+
+# Json files: problems, tasks.
+EDITOR = "$schema"  # field in which editors look for the json schema of a file; ignored
+LINE = 120  # characters of json that go on one line
+
+
+class Document(Checked):
+    """A value that is saved as a json file, whose field "schema" names its format and version."""
+
+    SCHEMA: ClassVar[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its json, the schema first."""
+        return {"schema": self.SCHEMA, **to_plain(self)}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Inverse of `to_dict`; raises InvalidInputError with the path of the field that is wrong."""
+        fields = dict(mapping(data, "", ", ".join(("schema", *field_kinds(cls)))))
+        fields.pop(EDITOR, None)
+        schema = fields.pop("schema", None)
+        if schema != cls.SCHEMA:
+            raise InvalidInputError(f"schema is {shown(schema)}; this version reads {cls.SCHEMA!r}")
+        return from_plain(cls, fields)
+
+    def save(self, path: Path | str) -> None:
+        """Write it as json that people can read."""
+        write_text(Path(path), to_text(self.to_dict()) + "\n")
+
+    @classmethod
+    def load(cls, path: Path | str, **changes: Any) -> Self:
+        """Read a file; errors name the file and the field. changes: fields to replace unless None."""
+        data = read_json_object(Path(path))
+        data |= {name: value for name, value in changes.items() if value is not None}
+        with located(f"{path}"):
+            return cls.from_dict(cls.with_named_files(data, Path(path).parent))
+
+    @classmethod
+    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Json in which files that it names, by paths relative to a folder, are read."""
+        return data
+
+
+def to_text(plain: Any, indent: int = 0) -> str:
+    """Json text; rows of numbers, matrices of poses and what else fits stand on one line."""
+    flat = json.dumps(plain, allow_nan=False)
+    if not isinstance(plain, dict | list) or len(flat) + indent <= LINE or _is_row(plain):
+        return flat
+    heads = [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(plain)
+    items = plain.values() if isinstance(plain, dict) else plain
+    lines = [head + to_text(item, indent + 1) for head, item in zip(heads, items, strict=True)]
+    brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
+    return brackets[0] + pad + f",{pad}".join(lines) + pad[:-1] + brackets[1]
+
+
+def _is_row(plain: Any) -> bool:
+    """Whether it is a list of numbers, or a small matrix."""
+    if not isinstance(plain, list):
+        return False
+    rows = [item for item in plain if not isinstance(item, float | int | None)]
+    small = all(isinstance(row, list) and _is_row(row) for row in rows) and sum(map(len, rows)) <= 16
+    return not rows or (small and len(rows) == len(plain))

@@ -6,14 +6,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Schema, Such
+from cvqmpt_lab.codec.forms import Condition, Schema
 from cvqmpt_lab.codec.plain import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain, upright
 from cvqmpt_lab.errors import InvalidInputError, nearest, shown
 from cvqmpt_lab.poses import Placement, Pose, pose
 
 Vector = tuple[float, float, float]
-Tolerance = Annotated[float, Such(float, lambda x: x >= 0.0, "0 or more", {"minimum": 0})]
+Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more", {"minimum": 0})]
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, Length, Such
+from cvqmpt_lab.codec.forms import Condition, FloatArray, Length
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
 MOST_PIXELS = 2**14  # of a side of an image
 Pixels = Annotated[
-    int, Such(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})
+    int, Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})
 ]
 
 

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeAlias
 
-from cvqmpt_lab.codec.documents import Document
 from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Tagged
-from cvqmpt_lab.codec.plain import Checked, located, unique
+from cvqmpt_lab.codec.plain import Checked, Document, located, unique
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError

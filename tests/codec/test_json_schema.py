@@ -8,8 +8,8 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.codec.documents import to_text
 from cvqmpt_lab.codec.json_schema import FOLDER, schema_of
+from cvqmpt_lab.codec.plain import to_text
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.problem import PlanningProblem, check_problem

@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec.documents import Document
 from cvqmpt_lab.codec.forms import Array, Length, Name, Tagged
-from cvqmpt_lab.codec.plain import Checked, from_plain, to_plain
+from cvqmpt_lab.codec.plain import Checked, Document, from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.poses import Pose, pose
 
