@@ -71,9 +71,9 @@ def enlarged(trees: Trees) -> Trees:
 
 @kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
-    """ConstrainedExtend: walk from node origin towards target (n,), adding every state to the tree.
+    """ConstrainedExtend: extend from node origin towards target (n,), adding every state to the tree.
 
-    reach: longest walk [rad].
+    reach: longest extension [rad].
 
     Returns
     -------
@@ -110,9 +110,9 @@ def grow(
 ):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
-    extend_both: Algorithm 3 as printed, both trees walk to the sample and are then connected;
-    otherwise the second tree walks from its nearest node to where the first one stopped (CBiRRT).
-    reach: longest walk towards a sample [rad].
+    extend_both: Algorithm 3 as printed, both trees extend to the sample and are then connected;
+    otherwise the second tree extends from its nearest node to where the first one stopped (CBiRRT).
+    reach: longest extension towards a sample [rad].
 
     Returns
     -------
@@ -210,7 +210,7 @@ def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 r
 
 FIRST_CAPACITY = 4096  # nodes a tree has room for at first
 FIRST_BATCH, LARGEST_BATCH = 16, 256  # samples drawn at once
-BETWEEN_LOOKS = 16  # samples used between looks at the clock, where a budget has seconds
+CLOCK_BATCH = 16  # samples used before the clock is read, where a budget has seconds
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class BiRRT:
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
         """Grow with one batch until the deadline; the trees, and a path that passed the fine check or None."""
         arrays = space.arrays._replace(step=self.step)
-        most = len(samples) if deadline == np.inf else BETWEEN_LOOKS
+        most = len(samples) if deadline == np.inf else CLOCK_BATCH
         first = 0
         while first < len(samples) and time.perf_counter() < deadline:
             part = samples[: first + most]

@@ -81,7 +81,7 @@ def reach_free(
     look: int,
     tolerance: float,
     max_iterations: int,
-    hurry: bool,
+    stop_on_stall: bool,
     scratch: ProjectionScratch,
     wanted: int,
     poses: Poses,
@@ -90,11 +90,11 @@ def reach_free(
 
     Parameters
     ----------
-    regions: the first is the pose to be reached, the others are kept at the same time.
+    regions: the first is the pose to be reached, the others hold at the same time.
     margin: to be kept from obstacles [m].
     firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose] on; a multiple
         of VISIT attempts a pose.
-    hurry: attempts that stall are given up.
+    stop_on_stall: attempts that stall are given up.
     poses: configurations and verdicts are written.
 
     Returns
@@ -119,7 +119,7 @@ def reach_free(
         seed = _nearest_seed(seeds, firsts[attempt, i], look, rotation, translation)
         for j in range(q.shape[0]):
             q[j] = seed[j]
-        if newton(kinematics, regions, q, tolerance, max_iterations, hurry, scratch) < 0:
+        if newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch) < 0:
             poses.verdict[i] = max(poses.verdict[i], UNREACHABLE)
             continue
         geometry, _ = first_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin)
@@ -151,7 +151,7 @@ def sample_goals(
     Where joints turn by more than a full turn, every second one is taken by the turns nearest to the start: else
     most goals of an arm with several such joints are whole turns away, and none may be on the start's side.
 
-    within: regions kept at the same time; that of a held handle puts its door where the hand is.
+    within: regions that hold at the same time; that of a held handle puts its door where the hand is.
     near: configuration (n,) that Newton's method starts around, instead of anywhere.
     """
     robot, region = problem.robot, problem.goal_region

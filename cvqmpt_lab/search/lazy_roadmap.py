@@ -60,9 +60,9 @@ class Roadmap(NamedTuple):
     node: Annotated[np.ndarray, "int8 rows"]  # verdicts
     collision_weight: float  # what -log P(free) of an edge costs [rad]; 0: edges cost their length
     nll: Annotated[np.ndarray, "inner exits"]
-    """-log P(free) of each edge, and of those to each goal, where they were judged."""
-    judged: Annotated[np.ndarray, "int8 inner exits"]
-    """One more than how many of an edge's ends were on the manifold when it was judged; 0: not judged."""
+    """-log P(free) of each edge, and of those to each goal, where they were computed."""
+    known: Annotated[np.ndarray, "int8 inner exits"]
+    """One more than how many of an edge's ends were on the manifold when its nll was computed; 0: not yet."""
     factor: Annotated[np.ndarray, "rows"]  # >= 1, how much longer edges at a node count
     to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
     cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
@@ -130,8 +130,8 @@ def _edge_cost(kinematics, roadmap, edges, here, slot, there, verdict):
     if roadmap.collision_weight == 0.0 or verdict == FREE:
         return 0.0
     state = 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
-    if roadmap.judged[here, slot] != state:
-        roadmap.judged[here, slot] = state
+    if roadmap.known[here, slot] != state:
+        roadmap.known[here, slot] = state
         roadmap.nll[here, slot] = edge_nll(kinematics, edges, roadmap.nodes[here], roadmap.nodes[there])
     return roadmap.collision_weight * roadmap.nll[here, slot]
 

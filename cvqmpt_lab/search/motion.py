@@ -15,8 +15,8 @@ GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below
 CHORD = 6e-4  # [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the rim
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
-KINK = 1.25e-3  # [rad] between looks at a motion near that angle, where F may rise to a point anywhere
-SLIVER = 5e-5  # [m] motions are not looked at more finely than this
+KINK = 1.25e-3  # [rad] between states checked near that angle, where F may rise to a point anywhere
+SLIVER = 5e-5  # [m] motions are not checked more finely than this
 CLOSE = 1e-9  # [rad] two states closer than this are one
 
 
@@ -132,7 +132,7 @@ def chord_on_manifold(space, a, b):
     """Whether the straight joint motion between two states on the manifold stays within CHORD of it.
 
     The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the motion is
-    looked at every KINK.
+    checked every KINK.
     """
     scratch = space.scratch
     if scratch.residual.shape[0] == 0:
@@ -176,7 +176,7 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
         while 0.5 * sweep > max(space.margin, SLIVER) * pieces:
             pieces *= 2
     widest = 1 if space.exact else pieces
-    done, span = -1, 1  # pieces found free, after the end itself; length of the stretch looked at
+    done, span = -1, 1  # pieces found free, after the end itself; length of the stretch checked
     while done < pieces:
         place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
         clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
@@ -212,7 +212,7 @@ def refine_and_check(
 
     Returns
     -------
-    written: number of states in out. bad: first segment of the given path that cannot be mended or
+    written: number of states in out. bad: first segment of the given path that cannot be refined or
     is not free, or -1.
     """
     count, n = states.shape

@@ -1,7 +1,7 @@
 """The nearest node of a growing tree, exactly, in sub-linear time.
 
 Nodes are put into search trees in blocks of BLOCK by their number. As in a binary counter, blocks are merged: with
-13 blocks there are search trees over the first 8, the next 4 and the last one, each of them balanced and built anew
+13 blocks there are search trees over the first 8, the next 4 and the last one, each of them balanced and rebuilt
 (Bentley and Saxe 1980, "Decomposable searching problems"). What is younger than the last block is looked at one by
 one, so that small trees are searched as if there were no index.
 """
@@ -26,7 +26,7 @@ class NearestIndex(NamedTuple):
     """Lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]."""
     indexed: Annotated[np.ndarray, "int64 2"]
     """How many nodes of each tree are in the index, a multiple of BLOCK."""
-    stack: Annotated[np.ndarray, "int64 levels"]  # boxes still to be looked at
+    stack: Annotated[np.ndarray, "int64 levels"]  # boxes still to be searched
     bound: Annotated[np.ndarray, "levels"]  # squared distances of these
 
 

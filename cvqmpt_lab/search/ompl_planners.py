@@ -137,7 +137,7 @@ class _Run:
         return np.array([state[i] for i in range(self._space.robot.dof)])
 
     def run(self, budget: Budget, began: float) -> tuple[PlanStatus, JointPath | None]:
-        """Search until a path passes the fine check or the budget is spent; grazing paths are searched anew."""
+        """Search until a path passes the fine check or the budget is spent; after a grazing path it searches again."""
         steps = 0
 
         def spent() -> bool:

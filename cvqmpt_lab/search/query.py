@@ -96,7 +96,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """What a search is told before it starts: where to sample, or a path at once."""
+    """What a search starts from: where to sample, or a path at once."""
 
     distribution: SamplingDistribution
     timings: Timings = field(default_factory=Timings)

@@ -93,7 +93,7 @@ class RoadmapQuery:
             node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
             collision_weight=self._weight,
             nll=np.empty((count + 1, neighbours.shape[1] + len(goals))),
-            judged=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
+            known=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
             factor=factor,
             to_go=np.empty(total),
             cost=np.empty(total),
@@ -107,7 +107,7 @@ class RoadmapQuery:
         kernels.link_query(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
 
     def add_nodes(self, added: np.ndarray) -> None:
-        """Link more nodes (a, n) to the roadmap, to each other and to start and goals; what was found out is kept."""
+        """Link more nodes (a, n) to the roadmap, to each other and to start and goals; verdicts stay."""
         before, count, half = self._graph, self._count, self._settings.links // 2
         nodes = np.concatenate([before.nodes[:count], added])
         table = np.full((len(nodes), before.neighbours.shape[1]), -1, dtype=np.int32)

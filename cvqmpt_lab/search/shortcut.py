@@ -99,7 +99,7 @@ def shortcut(
     return count
 
 
-ROUND = 16  # shortcuts tried between looks at the clock
+ROUND = 16  # shortcuts tried before the clock is read
 SWEEP = 112  # shortcuts from the longest to the shortest
 LONGEST, SHORTEST = 0.5, 0.05  # share of the path's length that a shortcut replaces, give or take SPREAD
 SPREAD = 0.3

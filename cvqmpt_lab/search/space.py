@@ -135,7 +135,7 @@ class ConstrainedSpace:
             )
 
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
-        """The path through states (m, n), mended where straight motions leave the manifold, if it is free.
+        """The path through states (m, n), refined where straight motions leave the manifold, if it is free.
 
         Returns
         -------
@@ -186,7 +186,7 @@ def _callback(checker: CollisionChecker | None, n: int) -> tuple[kernels.StateCh
 
 # The direct motion between two states: straight in joints, projected on the manifold, free of collision.
 COARSE_STEP = 0.15
-"""Between neighbouring states of the first look [rad], as in `BiRRT`; the path is then mended to the space's step."""
+"""Between neighbouring states of the first check [rad], as in `BiRRT`; the path is then refined to the space's step."""
 
 
 def direct_motion(space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray) -> JointPath | None:

@@ -1,5 +1,5 @@
-"""What a point cloud says about motions: how near the robot's balls come to it, and a small network's odds that
-the motion is free. Nothing here checks anything; a motion's odds cost some microseconds whatever the scene.
+"""Compiled half of the edge validity model: clearances of a robot's spheres in the distance field of a cloud, and the
+network that turns them into log odds that a motion is free. Nothing is checked; a motion costs some microseconds.
 """
 
 from typing import Annotated, NamedTuple
@@ -46,16 +46,16 @@ STEPS = 255.0  # of a stored byte
 
 
 class EdgeArrays(NamedTuple):
-    """Distances to a cloud on a grid, a robot's balls, and the network that reads their clearances."""
+    """Distances to a cloud on a grid, a robot's spheres, and the network that reads their clearances."""
 
     origin: Annotated[np.ndarray, "3"]  # corner of the grid [m]
     cell: float  # edge of a cell [m]
     distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]
     """From the middle of each cell to the nearest point of the cloud, in REACH / 255."""
-    sphere: Annotated[np.ndarray, "balls 4"]  # centre in its link's frame, and radius [m]
-    row: Annotated[np.ndarray, "int64 balls"]  # pose row of each ball's link
-    spacing: float  # at most, between the states of a motion that are looked at [rad]
-    network: SmallNetwork  # reads the smallest clearance of every joint's balls, then the motion's length
+    sphere: Annotated[np.ndarray, "spheres 4"]  # centre in its link's frame, and radius [m]
+    row: Annotated[np.ndarray, "int64 spheres"]  # pose row of each sphere's link
+    spacing: float  # at most, between the states of a motion whose clearances are read [rad]
+    network: SmallNetwork  # reads the smallest clearance of every joint's spheres, then the motion's length
     state: Annotated[np.ndarray, "n"]  # work array
     rotation: Annotated[np.ndarray, "rows 3 3"]  # work array
     translation: Annotated[np.ndarray, "rows 3"]  # work array
@@ -104,113 +104,113 @@ def fill_distances(
 
 
 @kernel(inline="source")
-def _look(kinematics, sight, q):
+def _lower_clearances(kinematics, model, q):
     """Lower the smallest clearances seen so far to those of configuration q (n,)."""
-    r, t, shape = sight.rotation, sight.translation, sight.distance.shape
+    r, t, shape = model.rotation, model.translation, model.distance.shape
     forward_kinematics(kinematics, q, r, t)
-    for k in range(sight.sphere.shape[0]):
-        link = sight.row[k]
-        x, y, z, radius = sight.sphere[k, 0], sight.sphere[k, 1], sight.sphere[k, 2], sight.sphere[k, 3]
-        wx = r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0] - sight.origin[0]
-        wy = r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1] - sight.origin[1]
-        wz = r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2] - sight.origin[2]
+    for k in range(model.sphere.shape[0]):
+        link = model.row[k]
+        x, y, z, radius = model.sphere[k, 0], model.sphere[k, 1], model.sphere[k, 2], model.sphere[k, 3]
+        wx = r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0] - model.origin[0]
+        wy = r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1] - model.origin[1]
+        wz = r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2] - model.origin[2]
         i, j, m = (
-            int(np.floor(wx / sight.cell)),
-            int(np.floor(wy / sight.cell)),
-            int(np.floor(wz / sight.cell)),
+            int(np.floor(wx / model.cell)),
+            int(np.floor(wy / model.cell)),
+            int(np.floor(wz / model.cell)),
         )
         if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= m < shape[2]:
-            clearance = sight.distance[i, j, m] * (REACH / STEPS) - radius
-            sight.network.features[link - 1] = min(sight.network.features[link - 1], clearance)
+            clearance = model.distance[i, j, m] * (REACH / STEPS) - radius
+            model.network.features[link - 1] = min(model.network.features[link - 1], clearance)
 
 
 @kernel
-def look_along(kinematics, sight, a, b):
-    """Put the network's inputs for the straight motion from a to b (n,) into sight.network.features."""
+def features_along(kinematics, model, a, b):
+    """Put the network's inputs for the straight motion from a to b (n,) into model.network.features."""
     n = a.shape[0]
     length = 0.0
     for j in range(n):
         length += (b[j] - a[j]) * (b[j] - a[j])
-        sight.network.features[j] = FARTHEST
+        model.network.features[j] = FARTHEST
     length = np.sqrt(length)
-    pieces = int(np.ceil(length / sight.spacing))
+    pieces = int(np.ceil(length / model.spacing))
     for k in range(pieces + 1):
         share = k / max(pieces, 1)
         for j in range(n):
-            sight.state[j] = a[j] + share * (b[j] - a[j])
-        _look(kinematics, sight, sight.state)
+            model.state[j] = a[j] + share * (b[j] - a[j])
+        _lower_clearances(kinematics, model, model.state)
     for j in range(n):
-        sight.network.features[j] = max(sight.network.features[j], NEAREST) / FARTHEST
-    sight.network.features[n] = length
+        model.network.features[j] = max(model.network.features[j], NEAREST) / FARTHEST
+    model.network.features[n] = length
 
 
 @kernel
-def edge_nll(kinematics, sight, a, b):
+def edge_nll(kinematics, model, a, b):
     """-log P(free) of the straight motion from a to b (n,)."""
-    look_along(kinematics, sight, a, b)
-    odds = answer(sight.network)
+    features_along(kinematics, model, a, b)
+    odds = answer(model.network)
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))
 
 
 @entry
-def judge_motions(
+def motion_log_odds(
     kinematics: Kinematics,
-    sight: EdgeArrays,
+    model: EdgeArrays,
     motions: Annotated[np.ndarray, "count 2 n"],
     features: Annotated[np.ndarray, "count inputs"],
     odds: Annotated[np.ndarray, "count"],
 ):
     """Write the network's inputs and log odds of straight motions; a configuration is one of no length."""
     for i in range(motions.shape[0]):
-        look_along(kinematics, sight, motions[i, 0], motions[i, 1])
+        features_along(kinematics, model, motions[i, 0], motions[i, 1])
         for j in range(features.shape[1]):
-            features[i, j] = sight.network.features[j]
-        odds[i] = answer(sight.network)
+            features[i, j] = model.network.features[j]
+        odds[i] = answer(model.network)
 
 
 @entry
-def ball_cells(
+def sphere_cells(
     kinematics: Kinematics,
-    sight: EdgeArrays,
+    model: EdgeArrays,
     configurations: Annotated[np.ndarray, "count n"],
-    cells: Annotated[np.ndarray, "int32 count balls"],
+    cells: Annotated[np.ndarray, "int32 count spheres"],
 ):
-    """Write which cell of the flattened grid each ball's centre lies in, or -1, for configurations asked often."""
-    shape = sight.distance.shape
+    """Write which cell of the flattened grid each sphere's centre lies in, or -1, for configurations asked often."""
+    shape = model.distance.shape
     for i in range(configurations.shape[0]):
-        forward_kinematics(kinematics, configurations[i], sight.rotation, sight.translation)
-        for k in range(sight.sphere.shape[0]):
+        forward_kinematics(kinematics, configurations[i], model.rotation, model.translation)
+        for k in range(model.sphere.shape[0]):
             place, inside = 0, True
             for a in range(3):
-                centre = sight.translation[sight.row[k], a] - sight.origin[a]
+                centre = model.translation[model.row[k], a] - model.origin[a]
                 for b in range(3):
-                    centre += sight.rotation[sight.row[k], a, b] * sight.sphere[k, b]
-                at = int(np.floor(centre / sight.cell))
+                    centre += model.rotation[model.row[k], a, b] * model.sphere[k, b]
+                at = int(np.floor(centre / model.cell))
                 inside = inside and 0 <= at < shape[a]
                 place = place * shape[a] + at
             cells[i, k] = place if inside else -1
 
 
 @entry
-def look_at_cells(
-    sight: EdgeArrays,
+def cell_clearances(
+    model: EdgeArrays,
     distance: Annotated[np.ndarray, "uint8 flat"],
-    cells: Annotated[np.ndarray, "int32 count balls"],
+    cells: Annotated[np.ndarray, "int32 count spheres"],
     clearance: Annotated[np.ndarray, "count n"],
 ):
-    """Write the smallest clearance of each joint's balls in cells from `ball_cells`; distance: sight's, flattened."""
+    """Write the smallest clearance of each joint's spheres in cells from `sphere_cells`; distance: model's, flattened."""
     for i in range(cells.shape[0]):
         for j in range(clearance.shape[1]):
             clearance[i, j] = FARTHEST
         for k in range(cells.shape[1]):
             if cells[i, k] >= 0:
-                link = sight.row[k] - 1
-                own = distance[cells[i, k]] * (REACH / STEPS) - sight.sphere[k, 3]
+                link = model.row[k] - 1
+                own = distance[cells[i, k]] * (REACH / STEPS) - model.sphere[k, 3]
                 clearance[i, link] = min(clearance[i, link], own)
 
 
 @entry
-def join_looks(
+def edge_features(
     clearance: Annotated[np.ndarray, "count n"],
     first: Annotated[np.ndarray, "int32 motions_and_one"],
     ends: Annotated[np.ndarray, "int32 motions 2"],

@@ -15,7 +15,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.vqmpt import clearances as kernels
-from cvqmpt_lab.vqmpt.clearances import EdgeArrays, fill_distances, judge_motions
+from cvqmpt_lab.vqmpt.clearances import EdgeArrays, fill_distances, motion_log_odds
 
 CELL = 0.03  # [m] of the distance field
 LOWER, UPPER = (
@@ -120,7 +120,7 @@ class EdgeModel:
     def log_odds(self, cloud: np.ndarray, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inputs (b, n + 1) and log odds (b,) of straight motions (b, 2, n); a configuration is one of no length."""
         features, odds = np.empty((len(motions), self.robot.dof + 1)), np.empty(len(motions))
-        judge_motions(
+        motion_log_odds(
             self.robot.kinematics, self.arrays(cloud), np.ascontiguousarray(motions), features, odds
         )
         return features, odds

@@ -13,7 +13,7 @@ from cvqmpt_lab.jit import entry
 from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
 from cvqmpt_lab.search.motion import distance
 from cvqmpt_lab.search.roadmap import Roadmap
-from cvqmpt_lab.vqmpt.clearances import ball_cells, join_looks, look_at_cells
+from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_features, sphere_cells
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
 
 
@@ -123,16 +123,16 @@ class CodeRoadmap:
         empty = self.model.empty
         arrays = empty._replace(sphere=empty.sphere[first:], row=empty.row[first:])
         cells = np.empty((len(self._states), len(arrays.sphere)), dtype=np.int32)
-        ball_cells(self.model.robot.kinematics, arrays, self._states, cells)
+        sphere_cells(self.model.robot.kinematics, arrays, self._states, cells)
         return cells
 
     def features(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
         """Inputs (E, n + 1) of the edge validity model for all edges."""
         arrays, n = self.model.arrays(cloud, use_cache), self.model.robot.dof
         clearance = np.empty((len(self._cells), n))
-        look_at_cells(arrays, arrays.distance.reshape(-1), self._cells, clearance)
+        cell_clearances(arrays, arrays.distance.reshape(-1), self._cells, clearance)
         features = np.empty((len(self._length), n + 1))
-        join_looks(clearance, self._first, self.links.edges, self._length, features)
+        edge_features(clearance, self._first, self.links.edges, self._length, features)
         return features
 
     def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:

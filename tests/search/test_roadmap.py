@@ -118,7 +118,7 @@ def test_edges_cost_what_the_model_says(problem, roadmap, model, cloud):
     graph, k = query._graph, roadmap.neighbours.shape[1]
     ends = graph.node[: len(roadmap.nodes), None], graph.node[roadmap.neighbours]
     now = 1 + (ends[0] == FREE) + (ends[1] == FREE)  # judged since both ends were moved last
-    settled = (graph.judged[: len(roadmap.nodes), :k] == now) & (ends[0] != BLOCKED) & (ends[1] != BLOCKED)
+    settled = (graph.known[: len(roadmap.nodes), :k] == now) & (ends[0] != BLOCKED) & (ends[1] != BLOCKED)
     rows, slots = np.nonzero(settled)
     assert len(rows) > 50
     motions = np.stack([graph.nodes[rows], graph.nodes[roadmap.neighbours[rows, slots]]], axis=1)
