@@ -198,7 +198,7 @@ def cell_clearances(
     cells: Annotated[np.ndarray, "int32 count spheres"],
     clearance: Annotated[np.ndarray, "count n"],
 ):
-    """Write the smallest clearance of each joint's spheres in cells from `sphere_cells`; distance: model's, flattened."""
+    """Write the smallest clearance of each joint's spheres in cells of `sphere_cells`; distance: the flat field."""
     for i in range(cells.shape[0]):
         for j in range(clearance.shape[1]):
             clearance[i, j] = FARTHEST
