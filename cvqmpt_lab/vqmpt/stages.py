@@ -50,7 +50,7 @@ def edge_model(model: str, robot: Robot, attachments: tuple[Attachment, ...] = (
     parts = model_of(model).parts
     if EDGE_PART not in parts:
         raise InvalidInputError(
-            f"{model} has no {EDGE_PART}, only {', '.join(parts)}; train some with cvqmpt train {EDGE_PART}"
+            f"{model} has no edge validity model, only {', '.join(parts)}; train one: cvqmpt train edge-model"
         )
     return EdgeModel(SmallNetwork.of(parts[EDGE_PART]), robot, attachments)
 

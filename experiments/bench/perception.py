@@ -86,7 +86,7 @@ def bench_sight(scenes: int) -> Iterator[Measurement]:
     robot = panda()
     model = load_vq_mpt(robot)
     if "sight" not in model.parts:
-        raise InvalidInputError("the model has no edge validity network; train one with cvqmpt train sight")
+        raise InvalidInputError("the model has no edge validity model; train one: cvqmpt train edge-model")
     edges = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot)
     graph = roadmap_graph(robot, dictionary_roadmap("vq_mpt", robot))
     other = camera_cloud(family_scene(*OTHER_SCENE), AROUND, np.random.default_rng(0))
