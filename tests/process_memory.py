@@ -5,24 +5,12 @@ import gc
 import resource
 from pathlib import Path
 
-FIELDS = (
-    "arena",
-    "ordblks",
-    "smblks",
-    "hblks",
-    "hblkhd",
-    "usmblks",
-    "fsmblks",
-    "uordblks",
-    "fordblks",
-    "keepcost",
-)
-
 
 class Mallinfo(ctypes.Structure):
-    """What `mallinfo2` of the GNU C library returns."""
+    """What `mallinfo2` of the GNU C library returns: ten sizes, of which two are used here."""
 
-    _fields_ = [(name, ctypes.c_size_t) for name in FIELDS]
+    _fields_ = [("before", ctypes.c_size_t * 4), ("hblkhd", ctypes.c_size_t), ("between", ctypes.c_size_t * 2)]
+    _fields_ += [("uordblks", ctypes.c_size_t), ("after", ctypes.c_size_t * 2)]
 
 
 def resident():

@@ -18,16 +18,6 @@ def draw(distribution, count=50_000, seed=0):
 
 
 @pytest.mark.parametrize(
-    "distribution", [UNIFORM, GaussianMixture(MEANS, COVARIANCES, WEIGHTS, UNIFORM, 1.0)]
-)
-def test_uniform_fills_the_limits(distribution):
-    q = draw(distribution)
-    assert (q >= LOWER).all() and (q <= UPPER).all()
-    np.testing.assert_allclose(q.mean(axis=0), 0.5 * (LOWER + UPPER), atol=0.02)
-    np.testing.assert_allclose(q.std(axis=0), (UPPER - LOWER) / np.sqrt(12.0), atol=0.02)
-
-
-@pytest.mark.parametrize(
     "distribution", [UNIFORM, GaussianMixture(MEANS, COVARIANCES, WEIGHTS, UNIFORM, 0.2)]
 )
 def test_draws_repeat_and_have_the_shape_asked_for(distribution):

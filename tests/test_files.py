@@ -1,8 +1,11 @@
+"""Files are read and written whole or not at all; errors are one printable line, whatever they quote."""
+
 import os
+import pickle
 
 import pytest
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import LONGEST_LINE, InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import (
     json_value,
     locked,
@@ -61,31 +64,24 @@ def test_who_locks_a_folder_clears_what_killed_writers_left_in_it_and_nothing_el
         assert names(tmp_path / "shards") == []
 
 
-def test_errors_name_the_path(tmp_path):
-    (tmp_path / "latin").write_bytes(b"\xe9")
-    for run, words in (
-        (lambda: read_text(tmp_path / "absent", "task"), "cannot read task .*/absent: No such file"),
-        (lambda: read_text(tmp_path / "latin"), r"file .*/latin is not UTF-8 text \(byte 0\)"),
-        (lambda: write_text(tmp_path / "latin" / "below", ""), "cannot write .*/below: Not a directory"),
-        (lambda: make_folder(tmp_path / "latin"), "cannot make folder .*/latin: File exists"),
-    ):
-        with pytest.raises(InvalidInputError, match=words):
-            run()
-
-
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("use", "words"),
     [
-        ('{"a": 1, "a": {}}', "key 'a' occurs twice"),
-        ("[1]", "must hold one json object"),
-        ("<html>", "is not json"),
-        ("[" * 100_000, "is not json"),
+        (lambda p: read_text(p / "absent", "task"), "cannot read task .*/absent: No such file"),
+        (lambda p: read_text(p / "latin"), r"file .*/latin is not UTF-8 text \(byte 0\)"),
+        (lambda p: write_text(p / "latin" / "below", ""), "cannot write .*/below: Not a directory"),
+        (lambda p: make_folder(p / "latin"), "cannot make folder .*/latin: File exists"),
+        (lambda p: read_json_object("/dev/zero", "scene"), "cannot read scene /dev/zero: it is a device"),
+        (lambda p: json_value('{"a": 1, "a": {}}', "x"), "key 'a' occurs twice"),
+        (lambda p: json_value(r'{"a": ["\uD800"]}', "x"), r"x is not json: .*surrogates"),
+        (lambda p: json_value("<html>", "x"), "is not json"),
+        (lambda p: json_value("[" * 100_000, "x"), "is not json"),
     ],
 )
-def test_a_file_that_is_no_plain_json_object_is_refused(tmp_path, text, words):
-    (tmp_path / "a.json").write_text(text)
+def test_what_cannot_be_read_or_written_is_named(tmp_path, use, words):
+    (tmp_path / "latin").write_bytes(b"\xe9")
     with pytest.raises(InvalidInputError, match=words):
-        read_json_object(tmp_path / "a.json", "problem")
+        use(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["a\0b", "a\ud800", "x" * 5000])
@@ -95,13 +91,26 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
     assert str(caught.value).isprintable()
 
 
-def test_a_device_is_not_read_for_ever():
-    with pytest.raises(InvalidInputError, match="cannot read scene /dev/zero: it is a device"):
-        read_json_object("/dev/zero", "scene")
+@pytest.mark.parametrize(
+    "error",
+    [
+        InvalidInputError(f"cannot read scene {'x' * 9000}: File name too long; choose another"),
+        RunStoreError("a\nb\x1b[31m\ud800; choose another"),
+        UnknownChoiceError("thing", "é\n" * 5000, ["a" * 3000, "another"]),
+    ],
+)
+def test_an_error_is_one_printable_line_that_keeps_its_end(error):
+    assert str(error).isprintable() and len(str(error)) <= LONGEST_LINE and "another" in str(error)[-60:]
+    str(error).encode()
 
 
-def test_json_with_half_a_character_is_refused_and_a_whole_one_read():
-    """No file can hold the half: a table of such a provenance could not be written."""
-    assert json_value(r'{"a": "\ud83e\udd16"}', "this") == {"a": "\U0001f916"}
-    with pytest.raises(InvalidInputError, match=r"this is not json: .*surrogates"):
-        json_value(r'{"a": ["\uD800"]}', "this")
+@pytest.mark.parametrize(
+    "error",
+    [
+        InvalidInputError("cannot write a  b; choose a folder"),
+        UnknownChoiceError("planner", "birt", ["birrt", "mpnet"]),
+    ],
+)
+def test_an_error_of_a_worker_arrives(error):
+    arrived = pickle.loads(pickle.dumps(error))
+    assert type(arrived) is type(error) and str(arrived) == str(error)

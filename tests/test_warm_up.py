@@ -28,12 +28,3 @@ def test_warming_up_changes_no_path():
     after = solve(problem, method, ENOUGH, seed=3, clearance=False)
     assert after.plan.counters == before.plan.counters
     np.testing.assert_array_equal(after.simplified.path.states, before.simplified.path.states)
-
-
-def test_compiling_is_announced_once_nothing_is_compiled(problem, monkeypatch):
-    said = []
-    monkeypatch.setattr(warm_up, "compiled_before", lambda: False)
-    warm_up.warm_up(problem, planner_named("birrt"), "compiled", said.append)
-    monkeypatch.setattr(warm_up, "compiled_before", lambda: True)
-    warm_up.warm_up(problem, planner_named("birrt"), "compiled", said.append)
-    assert said == ["compiling kernels, once per machine and version ..."]

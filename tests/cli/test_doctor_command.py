@@ -3,8 +3,6 @@
 import re
 from importlib import metadata
 
-import pytest
-
 from cli import doctor_command
 from cli.main import main
 from cvqmpt_lab.vqmpt import weights
@@ -55,13 +53,3 @@ def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):
     found = findings(capsys)
     assert found["vq_mpt"][0] == found["mpnet"][0] == "BROKEN"
     assert "is damaged" in found["vq_mpt"][1] and "no weights in" in found["mpnet"][1]
-
-
-@pytest.mark.parametrize(("variable", "says"), [("DISPLAY", "ok"), (None, "without")])
-def test_a_display_is_told_of_but_not_needed(capsys, monkeypatch, variable, says):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    if variable:
-        monkeypatch.setenv(variable, ":0")
-    assert main(["doctor"]) == 0
-    assert findings(capsys)["display"][0] == says

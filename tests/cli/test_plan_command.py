@@ -1,10 +1,12 @@
-"""`cvqmpt plan`: what is wrong with a problem file is named; a plan is a short report and a path."""
+"""`cvqmpt plan`: a report and a path of a problem, the phases of a task, and refused options."""
 
 import numpy as np
 import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.tasks.task import PlannedPhase, Task
+from experiments.suites.multi_sequence import multi_sequence_task
 
 
 def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem, tmp_path):
@@ -45,3 +47,18 @@ def test_what_was_gained_is_said(capsys, problem_file):
     assert main(words) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("optimize"))
     assert "of 40 iterations" in line and "shorter" in line
+
+
+def test_command_line(task, tmp_path, capsys):
+    task.save(tmp_path / "task.json")
+    assert main(["plan", "--task-file", str(tmp_path / "task.json")]) == 0
+    out = capsys.readouterr().out
+    assert (
+        all(phase.name in out for phase in task.phases if isinstance(phase, PlannedPhase)) and "solved" in out
+    )
+    assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
+    assert "one of the four" in capsys.readouterr().err
+    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--json"]) == 2
+    assert "--json does not go with a task" in capsys.readouterr().err
+    assert main(["problems", "export", "multi-sequence", "--problems", "1", "--out", str(tmp_path)]) == 0
+    assert Task.load(tmp_path / "multi-sequence-000.json").to_dict() == multi_sequence_task(0).to_dict()

@@ -54,6 +54,7 @@ def test_planners_that_do_not_fit_side_by_side_make_tables_of_their_own():
     parts = names[:MOST_COLUMNS], names[MOST_COLUMNS:]
     assert found == [[["", "", *part], ["time", "ours", *part]] for part in parts]
     assert text.count(r"\label{tab:x}") == 1
+    assert_well_formed(latex_table("", "x", [[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]]))
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no pdflatex (Debian: apt install texlive-latex-recommended)")

@@ -50,13 +50,6 @@ def test_every_row_is_a_run_of_its_planner(database):
     ]
 
 
-def test_the_experiment_and_the_views_over_it(database):
-    (experiment,) = database.execute("SELECT name, totaltime, timelimit, runcount, hostname FROM experiments")
-    assert experiment == ("place", 13.5, 10.0, 2, "Linux-6")
-    best = database.execute("SELECT avg_solved FROM bestPlannerConfigs").fetchall()
-    assert best == [(1.0,), (0.0,)]
-
-
 def test_statuses_are_those_of_ompl():
     kinds = ("UNKNOWN", "INVALID_START", "INVALID_GOAL", "TIMEOUT", "EXACT_SOLUTION", "CRASH")
     theirs = {PlannerStatus(getattr(PlannerStatus, kind)).asString(): kind for kind in kinds}

@@ -38,10 +38,6 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     )
     assert head.endswith("20 rows")
     assert [path.read_bytes() for path in render_directory(tmp_path).paths] == texts
-
-
-def test_the_head_of_a_table_tells_of_every_session_and_of_uncommitted_changes(tmp_path):
-    store(tmp_path, rows(), git_commit="a" * 40)
     store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)
     head = render_directory(tmp_path).paths[0].read_text().splitlines()[2]
     assert f"commit {'a' * 12} and {'b' * 12} WITH UNCOMMITTED CHANGES" in head

@@ -76,11 +76,8 @@ def test_ratios_are_taken_within_a_kind_and_over_all():
     rows = [a_failure("48/1-upright", "roadmap-cvq", suite="constraints")]
     for kind, name, less in ((0, "upright", 2), (2, "plane", 4)):
         for k in range(6):
-            shared = {
-                "problem": f"{8 * k + kind}/{kind + 1}-{name}",
-                "suite": "constraints",
-                "n_projections": 0,
-            }
+            key = f"{8 * k + kind}/{kind + 1}-{name}"
+            shared = {"problem": key, "suite": "constraints", "n_projections": 0}
             rows.append(a_row(**shared, n_state_checks=800))
             rows.append(a_row(**shared, planner="roadmap-cvq", n_state_checks=800 // less))
     table = constraints_table(rows, ())

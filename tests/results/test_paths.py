@@ -57,16 +57,14 @@ def test_a_path_cut_short_by_a_kill_is_left_out_and_the_others_stay(tmp_path, cu
     assert set(StoredPaths(tmp_path)) == {states_hash(path(1)), states_hash(path(2))}
 
 
-@pytest.mark.parametrize("where", [0.2, 0.5, 0.999])
-def test_a_damaged_store_is_refused_by_name(store, where):
-    data = bytearray((store / PATHS_FILE).read_bytes())
-    data[int(where * len(data))] ^= 0xFF
-    (store / PATHS_FILE).write_bytes(bytes(data))
-    with pytest.raises(RunStoreError, match=r"paths\.npz is damaged"):
-        dict(StoredPaths(store))
-
-
-def test_a_store_that_is_no_store_stops_a_run_before_it_begins(store):
+def test_a_damaged_store_is_refused_by_name_and_stops_a_run_before_it_begins(store):
+    good = (store / PATHS_FILE).read_bytes()
+    for where in (0.2, 0.5, 0.999):
+        data = bytearray(good)
+        data[int(where * len(data))] ^= 0xFF
+        (store / PATHS_FILE).write_bytes(bytes(data))
+        with pytest.raises(RunStoreError, match=r"paths\.npz is damaged"):
+            dict(StoredPaths(store))
     (store / PATHS_FILE).write_bytes(b"no zip")
     with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another folder"):
         RunStore.open(store, CONFIGURATION)

@@ -95,14 +95,6 @@ def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
             assert again.rows() == rows[: 2 if cut == len(data) else int(cut >= first)]
 
 
-def test_a_damaged_line_that_is_not_the_last_is_an_error(tmp_path):
-    with RunStore.open(tmp_path, CONFIGURATION):
-        pass
-    (tmp_path / PARTIAL_FILE).write_text("1,place,rubbish\n\n")
-    with pytest.raises(RunStoreError, match=r"runs\.partial\.csv, line 1"):
-        RunStore.open(tmp_path, CONFIGURATION)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -121,6 +113,11 @@ def test_another_configuration_is_refused_by_setting(tmp_path, change, words):
 
 
 def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
+    with RunStore.open(tmp_path / "new", CONFIGURATION):
+        pass
+    (tmp_path / "new" / PARTIAL_FILE).write_text("1,place,rubbish\n\n")
+    with pytest.raises(RunStoreError, match=r"runs\.partial\.csv, line 1"):
+        RunStore.open(tmp_path / "new", CONFIGURATION)
     write_rows(tmp_path / RUNS_FILE, [a_row()])
     with pytest.raises(RunStoreError, match=r"no provenance\.json.*--out"):
         RunStore.open(tmp_path, CONFIGURATION)
@@ -134,8 +131,12 @@ def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
         RunStore.open(tmp_path, CONFIGURATION)
 
 
-def test_directories_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
+def test_directories_and_configurations_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
+    for value in (float("inf"), object()):
+        with pytest.raises(RunStoreError, match="configuration"):
+            RunStore.open(tmp_path / "new", {"cutoff_s": value})
+    assert names(tmp_path / "new") == []
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(RunStoreError, match="--out"):
             RunStore.open(path, CONFIGURATION)
@@ -144,20 +145,9 @@ def test_directories_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
         RunStore.open(tmp_path / "sealed", CONFIGURATION)
 
 
-def test_configuration_must_be_json(tmp_path):
-    for value in (float("inf"), object()):
-        with pytest.raises(RunStoreError, match="configuration"):
-            RunStore.open(tmp_path / "new", {"cutoff_s": value})
-    assert names(tmp_path / "new") == []
-
-
-def test_two_runs_cannot_share_a_directory(tmp_path):
+def test_two_runs_cannot_share_a_directory_and_a_finished_store_takes_no_rows(tmp_path):
     with RunStore.open(tmp_path, CONFIGURATION), pytest.raises(InvalidInputError, match="in use"):
         RunStore.open(tmp_path, CONFIGURATION)
-    RunStore.open(tmp_path, CONFIGURATION).finish()
-
-
-def test_a_finished_store_takes_no_rows(tmp_path):
     store = RunStore.open(tmp_path, CONFIGURATION)
     store.finish()
     store.finish()

@@ -1,6 +1,7 @@
-"""A door or drawer as a joint of the robot: poses, collisions in both checkers, casing, json, errors."""
+"""A door or drawer as a joint of the robot: poses, collisions in both checkers, casing, files, errors."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -20,15 +22,11 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.door_task import BAR, GRIP, door_problem, door_world, handle_region
+from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world, handle_region
 from experiments.suites.place_task import DOOR
 
 AWAY = np.array([2.8, 0.3, 0.0, -1.5, 0.0, 1.571, 0.785])  # the arm looks away from the kitchen
 DRAWER = "hitman_drawer_top"
-BLOCKED = {
-    "chewie_door_left": "baker_door/panel",  # hung on one line: either turns into the other, closed one
-    "indigo_door_left": "robot_pedestal",
-}
 CONTACT = 1e-5  # [m] contact is not defined below
 
 
@@ -102,17 +100,6 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
             assert depth > -DEEPEST, (item.name, value, depth)
     start, end = (np.append(AWAY, value) for value in (joint.lower, joint.upper))
     assert motion_free(spaces[0].arrays, start, end)
-
-
-@pytest.mark.parametrize("name", BLOCKED)
-def test_doors_that_turn_into_something_say_into_what(panda, name):
-    joint = kitchen().articulation(name)
-    scene, robot = mechanism(panda, kitchen(), name)
-    checker, space = CollisionChecker(robot, scene), space_of(robot, scene)
-    states = [np.append(AWAY, value) for value in np.linspace(joint.lower, joint.upper, 40)]
-    hits = [q for q in states if checker.in_collision(q)]
-    assert hits and not any(space.valid(q) for q in hits) and space.valid(np.append(AWAY, 0.0))
-    assert {checker.colliding_pair(q).second for q in hits} == {BLOCKED[name]}
 
 
 def brick(x, y, z=1.0, size=0.1):
@@ -212,3 +199,58 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger")) and checker.in_collision(grasp)
     problem = PlanningProblem("rod", robot, Scene("nothing", ()), grasp, grasp[None], attachments=(rod,))
     assert not ConstrainedSpace(problem).valid(grasp)
+
+
+def test_a_problem_comes_back_from_its_file(tmp_path):
+    problem = door_problem(0)
+    problem.save(tmp_path / "door.json")
+    again = PlanningProblem.load(tmp_path / "door.json")
+    assert again.to_dict() == problem.to_dict() and again.robot.joint_names == problem.robot.joint_names
+    assert again.constraint[0].base == BAR and again.scene == problem.scene
+    q = problem.start + 0.05
+    np.testing.assert_array_equal(again.manifold.residual(q), problem.manifold.residual(q))
+
+
+def test_what_is_no_door_or_an_angle_outside_its_range_is_refused(grasp):
+    with pytest.raises(UnknownChoiceError, match=r"'fridge'.*dagger_door_left"):
+        take_out(kitchen(), "fridge")
+    for angle in (-1.6, 0.1):
+        for made in (bar_pose, partial(door_problem, 0)):
+            with pytest.raises(
+                InvalidInputError, match=rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"
+            ):
+                made(angle=angle)
+        with pytest.raises(InvalidInputError, match=f"start is outside the limits: {DOOR} by"):
+            replace(door_problem(0), start=np.append(grasp[:7], angle))
+
+
+def test_bad_objects_are_refused(panda, world):
+    _, robot = world
+    item = from_plain(ArticulatedObject, robot.source["articulated"])
+    data = to_plain(item)
+    with pytest.raises(InvalidInputError, match="has an articulated object already"):
+        with_articulated_object(robot, item)
+    with pytest.raises(UnknownChoiceError, match=r"'palm'.*panda_hand_0"):
+        with_articulated_object(panda, replace(item, may_touch=(("palm", BAR),)))
+    with pytest.raises(UnknownChoiceError, match=f"'knob'.*{BAR}"):
+        with_articulated_object(panda, replace(item, may_touch=(("panda_hand_0", "knob"),)))
+    with pytest.raises(InvalidInputError, match="'panda_hand' already"):
+        with_articulated_object(panda, replace(item, name="panda_hand"))
+    flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
+    for changes, message in [
+        ({"kind": "ball"}, "'ball'.*hinge, slider"),
+        ({"lower": 0.0}, r"range \[0.0, 0.0\]"),
+        ({"upper": None}, "articulated.upper is None"),
+        ({"parts": []}, "moves nothing"),
+        ({"velocity": 0.0}, "velocity is 0.0"),
+        ({"T_world_joint": [[1.0]]}, "T_world_joint has shape"),
+        ({"may_touch": ["x"]}, "may_touch.*must be a list"),
+        ({"casing": data["parts"]}, "two pieces called"),
+        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "m thick"),
+        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": flat}], "may_touch": []}, "0 m thick"),
+        ([1], "must be an object"),
+        ({"name": "door", "kind": None}, "kind"),
+    ]:
+        with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
+            wrong = data | changes if isinstance(changes, dict) else changes
+            robot_from_source({**panda.source, "articulated": wrong})

@@ -1,4 +1,4 @@
-"""Robots as data: limits, kernel kinematics against pinocchio, digest, pickling."""
+"""Robots as data: limits, kinematics and bounds of motion against pinocchio, sines against numpy, pickling."""
 
 import pickle
 import subprocess
@@ -7,12 +7,14 @@ import sys
 import numpy as np
 import pinocchio as pin
 import pytest
+from numba import njit
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import hull_vertices
-from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.robot.loading import panda as load_panda
+from cvqmpt_lab.robot.sweep import Sweep
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 SPHERE = '<sphere radius="0.04"/>'
@@ -89,3 +91,76 @@ def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, slider_ar
     )
     printed = subprocess.check_output([sys.executable, "-c", f"{script}.kinematics_digest)"], text=True)
     assert printed.strip() == slider_arm.kinematics_digest == "ccce46299e68f03c312831aa827b204d"
+
+
+@njit
+def _of_all(angles, sines, cosines):
+    for i in range(len(angles)):
+        sines[i], cosines[i] = sine_and_cosine(angles[i])
+
+
+def of(angles):
+    """Sines and cosines (k,) of angles (k,)."""
+    angles = np.asarray(angles, dtype=float)
+    sines, cosines = np.empty_like(angles), np.empty_like(angles)
+    _of_all(angles, sines, cosines)
+    return sines, cosines
+
+
+def test_sine_and_cosine_are_numpys():
+    """Also at multiples of pi / 4 and the doubles next to them, where the quadrant changes."""
+    exact, rng = np.arange(-12_000, 12_001) * (np.pi / 4.0), np.random.default_rng(0)
+    spread = [rng.uniform(-largest, largest, 100_000) for largest in (1e-8, 1.0, np.pi, 100.0, 1e4, 1e5)]
+    for angles in (*spread, exact, np.nextafter(exact, np.inf), np.nextafter(exact, -np.inf), np.zeros(1)):
+        for value, expected in zip(of(angles), (np.sin(angles), np.cos(angles)), strict=True):
+            worst = np.argmax(np.abs(value - expected))
+            assert np.abs(value - expected)[worst] <= 1e-15, angles[worst]
+
+
+def test_small_angles_keep_their_digits():
+    """Relative, not absolute: the sine of a tiny angle is the angle."""
+    angles = 10.0 ** np.random.default_rng(2).uniform(-300.0, -0.2, 100_000)
+    np.testing.assert_allclose(of(angles)[0], np.sin(angles), rtol=5e-16)
+
+
+def test_what_is_not_finite_has_no_sine():
+    assert np.isnan(of([np.nan, np.inf, -np.inf])).all()
+
+
+def placed(robot, geometry, q):
+    """World points (k, 3) of every piece, by pinocchio."""
+    data, results = robot.model.createData(), pin.GeometryData(geometry)
+    pin.updateGeometryPlacements(robot.model, data, geometry, results, q)
+    return [
+        hull_vertices(item.geometry) @ results.oMg[k].rotation.T + results.oMg[k].translation
+        for k, item in enumerate(geometry.geometryObjects)
+    ]
+
+
+@pytest.mark.parametrize("name", ["panda", "slider_arm"])
+def test_no_point_moves_further_than_the_bound(request, name):
+    robot = request.getfixturevalue(name)
+    geometry = robot.collision_model
+    joints = [item.parentJoint for item in geometry.geometryObjects]
+    links = sorted({k for k in joints if k > 0})
+    sweep = Sweep(robot, geometry, links)
+    rng, used = np.random.default_rng(0), []
+    for size in 10.0 ** rng.uniform(-3.0, -0.7, 40):
+        q = robot.random_configurations(rng, 1)[0]
+        hull = q + size * rng.standard_normal((3, robot.dof))
+        (bounds,), (between,) = sweep.in_world(q[None], hull[None]), sweep.between(q[None], hull[None])
+        before = placed(robot, geometry, q)
+        for weights in rng.dirichlet(np.ones(4), 10):
+            after = placed(robot, geometry, weights @ np.vstack([hull, q]))
+            for piece, joint in enumerate(joints):
+                if joint > 0 and np.isfinite(bound := bounds[links.index(joint)]):
+                    moved = np.linalg.norm(after[piece] - before[piece], axis=1).max()
+                    assert moved <= bound + 1e-9
+                    used.append(moved / bound)
+            for pair, bound in zip(geometry.collisionPairs, between, strict=True):
+                gaps = [
+                    np.linalg.norm(p[pair.first][:8, None] - p[pair.second][:8], axis=2)
+                    for p in (before, after)
+                ]
+                assert np.abs(gaps[1] - gaps[0]).max() <= bound + 1e-9
+    assert max(used) > 0.6

@@ -1,16 +1,24 @@
-"""Recordings hold what they should."""
+"""Recordings hold what they should, plots say what the certificate says, the viewer stays on loopback."""
 
+import stat
+import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from matplotlib.image import imread
 from rerun.chunk import RrdReader
 
+from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.show import viewer
+from cvqmpt_lab.show.curves import bound_plots, clearance_plot
 from cvqmpt_lab.show.picture import draw_solution
 from cvqmpt_lab.show.recording import TIMELINE, log_solution
+from cvqmpt_lab.show.viewer import open_viewer
 from experiments.suites.place_task import carried_can
 
 
@@ -69,3 +77,70 @@ def test_unwritable_recording_is_refused(unsolved, tmp_path):
         with pytest.raises(InvalidInputError, match="cannot write"):
             log_solution(unsolved, save=tmp_path / taken)
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """A program "rerun" beside Python, whose script the test writes."""
+    program = tmp_path / "rerun"
+    monkeypatch.setattr(viewer.sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setenv("DISPLAY", ":99")
+
+    def write(script):
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(program.stat().st_mode | stat.S_IEXEC)
+
+    return write
+
+
+def test_without_a_display_it_is_refused_before_anything_is_logged(unsolved, monkeypatch):
+    monkeypatch.setattr(viewer.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InvalidInputError, match=r"no display.*open it elsewhere with: rerun RUN\.rrd"):
+        log_solution(unsolved, view=True)
+
+
+def test_the_viewer_is_bound_to_the_loopback_address(stand_in, tmp_path, monkeypatch):
+    monkeypatch.setattr(viewer, "SETTLE_SECONDS", 0.5)
+    stand_in(f'echo "$@" > {tmp_path}/told; sleep 2')
+    began = time.perf_counter()
+    open_viewer(tmp_path / "run.rrd")
+    assert time.perf_counter() - began < 1.9  # it is not waited for
+    assert (tmp_path / "told").read_text().split() == [
+        *("--bind", "127.0.0.1", "--port", "auto"),
+        str(tmp_path / "run.rrd"),
+    ]
+
+
+def test_a_viewer_that_gives_up_is_an_error(stand_in, tmp_path):
+    stand_in("echo 'no graphics device' >&2; exit 3")
+    with pytest.raises(InvalidInputError, match=r"cannot open the rerun viewer \(no graphics device\)"):
+        open_viewer(tmp_path / "run.rrd")
+
+
+def test_tilt_beyond_its_bounds_is_the_certificates_violation(problem):
+    states = problem.robot.random_configurations(np.random.default_rng(0), 5)
+    plots = bound_plots(problem, states)
+    assert [plot.title for plot in plots] == [
+        f"rotation about {axis} against its bounds [rad]" for axis in "yz"
+    ]
+    outside = np.zeros(len(states))
+    for axis, plot in zip("yz", plots, strict=True):
+        tilt, low, high = (
+            plot.curves[name].values for name in (f"rotation about {axis}", "lower bound", "upper bound")
+        )
+        outside = np.maximum(outside, np.maximum(low - tilt, tilt - high))
+    for q, excess in zip(states, outside, strict=True):
+        assert excess == pytest.approx(
+            certify(problem, JointPath(np.stack([q, q])), clearance=False).max_violation_rad, abs=1e-9
+        )
+
+
+def test_clearance_is_the_certificates(solution):
+    states = solution.simplified.path.states[::20]
+    for q, clearance in zip(
+        states, clearance_plot(solution.problem, states).curves["clearance"].values, strict=True
+    ):
+        expected = certify(solution.problem, JointPath(np.stack([q, q]))).min_clearance_m
+        assert clearance == pytest.approx(1e3 * expected)

@@ -7,7 +7,6 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from toppra_duration import toppra_duration
 
 from cli.main import main
 from cvqmpt_lab.certificate import certify
@@ -18,7 +17,6 @@ from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
@@ -55,16 +53,6 @@ def motion(paths, limits):
 # ---------------------------------------------------------------- as fast as can be
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.1])
-def test_durations_are_those_of_toppra(paths, limits, speed):
-    for path in paths:
-        curve = smooth_curve(path, FULL.deviation)
-        scaled = limits.scaled(speed)
-        expected = toppra_duration(curve, scaled.velocity, scaled.acceleration)
-        duration = time_path(path, limits, TimingSettings(speed=speed)).duration
-        assert duration == pytest.approx(expected, rel=0.01)
-
-
 @pytest.mark.parametrize(("distance", "expected"), [(0.5, 2.0 * np.sqrt(0.5 / 4.0)), (3.0, 3.0 / 2.0 + 0.5)])
 def test_a_straight_line_takes_the_time_of_a_trapezoid(distance, expected):
     """Joint 'first' alone: speeds up at 4, goes 2 at most."""
@@ -87,13 +75,6 @@ def test_limits_hold_between_the_points_too(paths, limits, speed):
         hardest = (np.abs(accelerations) / limits.acceleration).max()
         assert fastest <= 1.001 * speed and hardest <= 1.02 * speed
         assert max(fastest, hardest) > 0.98 * speed, "and are made use of"
-
-
-def test_it_rests_at_both_ends_and_moves_between(motion, paths):
-    assert np.array_equal(motion.velocities[[0, -1]], np.zeros((2, 7)))
-    assert np.abs(motion.positions[[0, -1]] - paths[0][[0, -1]]).max() < 1e-12
-    assert (np.diff(motion.times) > 0.0).all() and motion.times[0] == 0.0
-    assert np.linalg.norm(motion.velocities[1:-1], axis=1).min() > 0.0
 
 
 def segment_distances(points, path):

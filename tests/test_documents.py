@@ -1,12 +1,15 @@
-"""Commands in README, docs and helps are understood; those of the README that take seconds are run, in its order."""
+"""Commands in README, docs, helps and notebooks are understood; examples and quick commands are run."""
 
+import ast
 import importlib
 import re
 import shlex
 from pathlib import Path
 
+import nbformat
 import pytest
 
+import cvqmpt_lab
 from cli.main import COMMANDS, main, parser_with
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -66,3 +69,43 @@ def test_quick_commands_of_the_readme_run(monkeypatch, tmp_path, capsys):
     for words in quick:
         assert main(words) == 0, (words, capsys.readouterr())
     assert {"plan.png", "motion.json", "mine.json"} <= {p.name for p in tmp_path.iterdir()}
+
+
+def test_every_public_name_is_there():
+    assert len(cvqmpt_lab.__all__) == len({id(getattr(cvqmpt_lab, name)) for name in cvqmpt_lab.__all__})
+    with pytest.raises(AttributeError, match="public names: Budget"):
+        _ = cvqmpt_lab.solv
+
+
+def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
+    assert len(re.findall(r"^(?:from|import) ", example, re.MULTILINE)) == 1
+    monkeypatch.chdir(tmp_path)
+    assert main(["problems", "export", "place-task", "--problems", "8", "--out", "problems"]) == 0
+    capsys.readouterr()
+    exec(compile(example, "README.md", "exec"), {})
+    assert re.fullmatch(r"solved \d+\.\d+ True\n", capsys.readouterr().out)
+
+
+def test_a_sampler_of_ones_own_is_a_function(tmp_path, monkeypatch):
+    example = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "your_own.md").read_text(), re.DOTALL)[-1]
+    monkeypatch.chdir(tmp_path)
+    assert main(["problems", "new", "mine.json", "--robot", "ur5"]) == 0
+    names = {}
+    exec(compile(example, "your_own.md", "exec"), names)
+    assert names["solution"].solved and names["solution"].plan.sampler == "halfway"
+
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LONGEST = 15  # cells of a notebook
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_are_short_store_no_outputs_and_define_nothing(path):
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert len(notebook.cells) <= LONGEST
+    for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
+        assert cell.outputs == [] and cell.execution_count is None
+        for node in ast.walk(ast.parse(cell.source)):
+            assert not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef), cell.source
