@@ -50,16 +50,12 @@ def network_time(row: ResultRow) -> float:
     return sum(t or 0.0 for t in (row.t_encode_s, row.t_predict_s, row.t_optimize_s))
 
 
-def search_cost(row: ResultRow, projection: float, state_check: float) -> float | None:
-    """Search at these costs of a projection and a state check [s], and networks as measured; nothing else."""
+def paper_cost(row: ResultRow) -> float | None:
+    """Search at what work costs in a setting like the paper's, and networks as measured; nothing else [s]."""
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    return row.n_projections * projection + row.n_state_checks * state_check + network_time(row)
-
-
-def paper_cost(row: ResultRow) -> float | None:
-    """The same at what work costs in a setting like the paper's [s]."""
-    return search_cost(row, PROJECTION_COST, STATE_CHECK_COST)
+    search = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
+    return search + network_time(row)
 
 
 def own_time(row: ResultRow) -> float | None:

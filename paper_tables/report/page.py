@@ -16,7 +16,6 @@ from paper_tables.claims_page import TERMS, summary_lines, wall_clock
 from paper_tables.measures import REFERENCE, VALUES, Rows, work
 from paper_tables.paper_numbers import read_published
 from paper_tables.report import plots
-from paper_tables.report.check_cost import COSTS, against_reference, duration
 from paper_tables.suite_tables import SuiteTable, table_of
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Sections
@@ -47,7 +46,7 @@ def report_html(directory: Path, report: Callable[[int, int], None] = lambda don
     environment = Environment(
         loader=PackageLoader("paper_tables", "report"), autoescape=True, undefined=StrictUndefined
     )
-    data = [{key: section[key] for key in ("name", "rows", "again", "slider")} for section in sections]
+    data = [{key: section[key] for key in ("name", "rows", "again")} for section in sections]
     return environment.get_template(TEMPLATE).render(
         title="CVQ-MPT, reproduced",
         claims=summary_lines(claims) if any(item.verdicts for item in claims) else [],
@@ -79,15 +78,12 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
     table = table_of(suite) if rows else SuiteTable(f"Figure {name}")
     published = read_published(*table.paper) if table.paper else ()
     groups = by_planner(rows, published)
-    slider, slider_plot = _slider(groups)
     return {
         "name": name,
         "title": table.title if name == suite else f"{name}: {table.title}",
         "blocks": _blocks(table.render(rows, published).sections) if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
-        "slider": slider,
-        "slider_plot": slider_plot,
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
         "again": f"cvqmpt plan {suite} --problem PROBLEM --planner PLANNER --seed SEED --picture plan.png",
         "provenance": _provenance(evidence),
@@ -121,27 +117,6 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
             title = f"{name}, problem by problem, against {REFERENCE}"
             drawn[title] = plots.scatter(groups, REFERENCE, value, label)
     return drawn
-
-
-def _slider(groups: Mapping[str, Rows]) -> tuple[dict[str, Any] | None, str]:
-    """What moves when a state check costs something else, and the plot under it."""
-    planners = against_reference(groups)
-    if not planners:
-        return None, ""
-    left, _, width, _ = plots.CHECK_COST_FRAME
-    slider = {
-        "frame": (left, width),
-        "costs": [duration(cost) for cost in COSTS],
-        "planners": [
-            {
-                "name": item.planner,
-                "pays": item.pays,
-                "ratios": [(ratio.estimate, ratio.low, ratio.high) for ratio in item.ratios],
-            }
-            for item in planners
-        ],
-    }
-    return slider, plots.check_costs(planners, list(groups))
 
 
 def _row(row: ResultRow) -> list[object]:

@@ -15,7 +15,6 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import problem_key
 from paper_tables.measures import Value
-from paper_tables.report.check_cost import COSTS, CostRatios, duration
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -39,8 +38,6 @@ STAGES = {
 """Of a run, by the column that holds their time."""
 WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
-# Left, bottom, width and height of the axes over which the slider's mark moves, as shares of the figure.
-CHECK_COST_FRAME = (0.10, 0.14, 0.70, 0.82)
 
 
 def colours(names: Sequence[str]) -> dict[str, tuple[float, ...]]:
@@ -150,26 +147,6 @@ def _by_problem(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
         if found:
             logs.setdefault(problem_key(row)[1], []).append(math.log(found))
     return {problem: math.exp(math.fsum(values) / len(values)) for problem, values in logs.items()}
-
-
-@matplotlib.rc_context(STYLE)
-def check_costs(planners: Sequence[CostRatios], names: Sequence[str]) -> str:
-    """Ratios to the reference against the cost of a state check, with intervals."""
-    figure = Figure(figsize=(WIDTH, 3.8))
-    axes, palette = figure.add_axes(CHECK_COST_FRAME), colours(names)
-    for item in planners:
-        low, middle, high = (
-            [getattr(ratio, bound) or math.nan for ratio in item.ratios]
-            for bound in ("low", "estimate", "high")
-        )
-        axes.fill_between(COSTS, low, high, color=palette[item.planner], alpha=0.12, linewidth=0.0)
-        axes.plot(COSTS, middle, color=palette[item.planner], label=item.planner, linewidth=1.4)
-    axes.axhline(1.0, color="0.5", linewidth=0.8)
-    axes.set_yscale("log")
-    _finish(axes, "cost of a state check", "time / birrt's")
-    axes.set_xlim(COSTS[0], COSTS[-1])
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(value)))
-    return svg(figure)
 
 
 def _plain(axis: Axis) -> None:
