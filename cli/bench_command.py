@@ -2,10 +2,9 @@
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
-from cli.options import positive_int, writable_file
+from cli.options import log, positive_int, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.warm_up import compile_kernels
@@ -21,22 +20,13 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which bench, how much, where to."""
-    parser.add_argument("bench", help=", ".join(BENCHES))
-    parser.add_argument(
-        "--problems",
-        type=positive_int,
-        default=20,
-        metavar="N",
-        help="tuning problems to plan; sight: scenes (20)",
+    add = parser.add_argument
+    add("bench", help=", ".join(BENCHES))
+    add("--problems", type=positive_int, default=20, metavar="N", help="problems to plan; sight: scenes (20)")
+    add(
+        "--states", type=positive_int, default=4000, metavar="N", help="collision: states of each kind (4000)"
     )
-    parser.add_argument(
-        "--states",
-        type=positive_int,
-        default=4000,
-        metavar="N",
-        help="collision: states of each kind in which both checkers are compared (4000)",
-    )
-    parser.add_argument("--json", type=Path, metavar="F", help="write the figures as json too")
+    add("--json", type=Path, metavar="F", help="write the figures as json too")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         raise UnknownChoiceError("bench", args.bench, BENCHES)
     if args.json:
         writable_file(args.json)
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    compile_kernels(log)
     figures = run_bench(args.bench, args.problems, args.states)
     width = max(len(figure.name) for figure in figures)
     for figure in figures:

@@ -23,20 +23,14 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the camera saw, where it may stand, the arm, where to."""
-    parser.add_argument("file", type=Path, help="a cloud in the camera's frame, or a depth image")
-    parser.add_argument("--intrinsics", type=Path, metavar="LENS.json|yaml", help="of a depth image")
-    parser.add_argument(
-        "--guess",
-        type=Path,
-        required=True,
-        metavar="CAM.json|yaml",
-        help="T_world_camera, at most about 10 cm and 10 deg wrong: x right, y down, z ahead",
-    )
-    parser.add_argument(
-        "--arm-at", required=True, metavar="Q1,...,QN", help="the arm's configuration meanwhile [rad or m]"
-    )
-    parser.add_argument("--out", type=Path, metavar="CAM.json", help="write T_world_camera, if it is trusted")
-    parser.add_argument("--seed", type=positive_int, default=1, help="seed of all randomness (1)")
+    add = parser.add_argument
+    add("file", type=Path, help="a cloud in the camera's frame, or a depth image")
+    add("--intrinsics", type=Path, metavar="LENS.json|yaml", help="of a depth image")
+    guess = "T_world_camera, at most about 10 cm and 10 deg wrong: x right, y down, z ahead"
+    add("--guess", type=Path, required=True, metavar="CAM.json|yaml", help=guess)
+    add("--arm-at", required=True, metavar="Q1,...,QN", help="the arm's configuration meanwhile [rad or m]")
+    add("--out", type=Path, metavar="CAM.json", help="write T_world_camera, if it is trusted")
+    add("--seed", type=positive_int, default=1, help="seed of all randomness (1)")
     add_robot(parser, "the robot in the picture (panda)")
 
 

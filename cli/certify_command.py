@@ -3,14 +3,12 @@
 import argparse
 import json
 import math
-import sys
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cli.options import positive
+from cli.options import log, numbers, positive
 from cli.robot_options import add_problem, problem_asked
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind
 from cvqmpt_lab.collision.exact import ROUNDING
@@ -29,26 +27,14 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to judge, and against which problem."""
-    parser.add_argument(
-        "path",
-        type=Path,
-        metavar="PATH.csv|PATH.json|DIR",
-        help="states, or a trajectory with times, which is dry-run too; or the directory of a run",
-    )
+    add = parser.add_argument
+    what = "states, or a trajectory with times, which is dry-run too; or the directory of a run"
+    add("path", type=Path, metavar="PATH.csv|PATH.json|DIR", help=what)
     add_problem(parser)
-    parser.add_argument(
-        "--current",
-        metavar="Q",
-        help="where the arm stands now, numbers in quotes [rad]: the motion begins there",
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=positive,
-        default=0.01,
-        metavar="RAD",
-        help="how far from there it may begin (0.01)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one json object instead of the report")
+    add("--current", metavar="Q", help="where the arm stands now, in quotes [rad]: the motion begins there")
+    start = "how far from there it may begin (0.01)"
+    add("--tolerance", type=positive, default=0.01, metavar="RAD", help=start)
+    add("--json", action="store_true", help="print one json object instead of the report")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,24 +49,13 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(
             f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
         )
-    found = dry_run(problem, motion, _current(args.current), args.tolerance)
-    print(
-        json.dumps(_data(found), indent=1, allow_nan=False)
-        if args.json
-        else "\n".join(_report(found, problem))
-    )
+    current = None if args.current is None else np.array(numbers("--current", args.current))
+    found = dry_run(problem, motion, current, args.tolerance)
+    if args.json:
+        print(json.dumps(_data(found), indent=1, allow_nan=False))
+    else:
+        print("\n".join(_report(found, problem)))
     return 0 if found.certificate.valid else 1
-
-
-def _current(text: str | None) -> np.ndarray | None:
-    if text is None:
-        return None
-    try:
-        return np.array([float(word) for word in text.replace(",", " ").split()])
-    except ValueError as error:
-        raise InvalidInputError(
-            f"--current {text!r}: write numbers in quotes, separated by spaces"
-        ) from error
 
 
 def _where(found: DryRun, at: float) -> str:
@@ -98,13 +73,11 @@ def _report(found: DryRun, problem: PlanningProblem) -> list[str]:
     certificate = found.certificate
     what = "path" if found.times is None else f"trajectory of {found.times[-1]:.3f} s"
     states = "x".join(map(str, np.shape(found.states)))
-    lines = [
-        f"certified   {'yes' if certificate.valid else 'NO'}: {what}, {states} states, problem {problem.name}"
-    ]
+    verdict = "yes" if certificate.valid else "NO"
+    lines = [f"certified   {verdict}: {what}, {states} states, problem {problem.name}"]
     for fault in certificate.faults:
-        lines.append(
-            f"fault       {fault.text}" + ("" if fault.at is None else f", {_where(found, fault.at)}")
-        )
+        where = "" if fault.at is None else f", {_where(found, fault.at)}"
+        lines.append(f"fault       {fault.text}{where}")
     if certificate.states_checked == 0:
         return lines
     lines.append(
@@ -122,9 +95,8 @@ def _resolution(found: DryRun, problem: PlanningProblem) -> str:
     curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
     if certificate.unproven_at is None:
         collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
-        return (
-            f"no gaps: every state{' before that collision' if collides else ''} is proven, by {looks}{curve}"
-        )
+        which = "every state before that collision" if collides else "every state"
+        return f"no gaps: {which} is proven, by {looks}{curve}"
     k = min(int(certificate.unproven_at), len(found.states) - 2)
     share = certificate.unproven_at - k
     q = found.states[k] + share * (found.states[k + 1] - found.states[k])
@@ -139,44 +111,34 @@ def _resolution(found: DryRun, problem: PlanningProblem) -> str:
 def _data(found: DryRun) -> dict[str, Any]:
     """The same for programs; undefined numbers are null."""
     certificate = found.certificate
-    numbers = {
-        name: value if value is not None and math.isfinite(value) else None
-        for name, value in vars(certificate).items()
-        if name != "faults"
-    }
-    faults = [
-        {
-            "kind": str(fault.kind),
-            "text": fault.text,
-            "state": fault.at,
-            "time_s": None
-            if found.times is None or fault.at is None
-            else float(np.interp(fault.at, np.arange(len(found.times)), found.times)),
-        }
-        for fault in certificate.faults
-    ]
-    return {"valid": certificate.valid, "faults": faults, "apart_m": found.apart, **numbers}
+    faults = []
+    for fault in certificate.faults:
+        time = None
+        if found.times is not None and fault.at is not None:
+            time = float(np.interp(fault.at, np.arange(len(found.times)), found.times))
+        faults.append({"kind": str(fault.kind), "text": fault.text, "state": fault.at, "time_s": time})
+    figures = {name: value for name, value in vars(certificate).items() if name != "faults"}
+    for name, value in figures.items():
+        figures[name] = value if value is not None and math.isfinite(value) else None
+    return {"valid": certificate.valid, "faults": faults, "apart_m": found.apart, **figures}
 
 
 def _certify_run(directory: Path, as_json: bool) -> int:
     from experiments.recertify import recertify
 
-    counts: Counter[str] = Counter()
+    summary = {"paths": 0, "certified": 0, "refused": 0}
     troubles = []
     for verdict in recertify(directory):
-        counts[
-            "certified" if verdict.certificate is not None and verdict.certificate.valid else "refused"
-        ] += 1
+        certified = verdict.certificate is not None and verdict.certificate.valid
+        summary["paths"] += 1
+        summary["certified" if certified else "refused"] += 1
         if verdict.trouble:
             key = verdict.row.key
             troubles.append(f"{key.problem} {key.planner} seed {key.seed}: {verdict.trouble}")
-            print(troubles[-1], file=sys.stderr)
-    summary = {"paths": counts.total(), "certified": counts["certified"], "refused": counts["refused"]}
+            log(troubles[-1])
     if as_json:
         print(json.dumps({**summary, "troubles": troubles}, indent=1))
     else:
-        print(
-            ", ".join(f"{count} {what}" for what, count in summary.items())
-            + f", {len(troubles)} unlike their rows"
-        )
+        counted = ", ".join(f"{count} {what}" for what, count in summary.items())
+        print(f"{counted}, {len(troubles)} unlike their rows")
     return 1 if troubles else 0

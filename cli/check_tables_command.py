@@ -16,13 +16,10 @@ EXAMPLES = ("cvqmpt check-tables", "cvqmpt check-tables --update")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to compare with, or to write it."""
-    parser.add_argument("--update", action="store_true", help="write the expectations instead of comparing")
-    parser.add_argument(
-        "--expected", type=Path, default=EXPECTED, metavar="F.json", help="expectations (the committed ones)"
-    )
-    parser.add_argument(
-        "--results", type=Path, default=RESULTS, metavar="DIR", help="folder of results directories"
-    )
+    add = parser.add_argument
+    add("--update", action="store_true", help="write the expectations instead of comparing")
+    add("--expected", type=Path, default=EXPECTED, metavar="F.json", help="expectations (the committed ones)")
+    add("--results", type=Path, default=RESULTS, metavar="DIR", help="folder of results directories")
 
 
 def run(args: argparse.Namespace) -> int:

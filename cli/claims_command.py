@@ -15,14 +15,10 @@ EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Whose rows."""
-    parser.add_argument(
-        "results",
-        type=Path,
-        nargs="?",
-        metavar="DIR",
-        help=f"folder of results directories, where {PAGE_NAME} goes (the committed ones; their page is "
-        "paper_tables/README.md, and the README gets its short form)",
+    where = (
+        f"folder of results directories, where {PAGE_NAME} goes (the committed ones, with page and README)"
     )
+    parser.add_argument("results", type=Path, nargs="?", metavar="DIR", help=where)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -38,9 +34,7 @@ def run(args: argparse.Namespace) -> int:
 def pages_of(results: Path) -> dict[Path, str]:
     """The page of a folder of results directories."""
     if not committed_directories(results):
-        raise InvalidInputError(
-            f"{results} holds no results directories; name a folder that does, such as runs/all"
-        )
+        raise InvalidInputError(f"{results} holds no results directories; name a folder that does: runs/all")
     found = evidence_below(results)
     return {results / PAGE_NAME: page_text(found, judged_claims(found), results)}
 

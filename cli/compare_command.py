@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Two results directories."""
     parser.add_argument("before", type=Path, metavar="A", help="a results directory")
     parser.add_argument(
-        "after", type=Path, metavar="B", help="another one, of the same suite, problems and seeds"
+        "after", type=Path, metavar="B", help="another, of the same suite, problems and seeds"
     )
 
 

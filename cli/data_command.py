@@ -1,11 +1,10 @@
 """`cvqmpt data`: make training data."""
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from cli.options import ProgressBar, positive_int
+from cli.options import ProgressBar, log, own_command, positive_int
 from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.errors import CvqmptError, UnknownChoiceError
 from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
@@ -28,27 +27,18 @@ LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": Roadm
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """How much of what, and where to."""
-    parser.add_argument("action", help=", ".join(ACTIONS))
-    parser.add_argument("--scenes", type=positive_int, required=True, metavar="N", help="scenes in all")
-    parser.add_argument(
-        "--paths-per-scene", type=positive_int, default=50, metavar="M", help="paths tried per scene (50)"
-    )
-    parser.add_argument(
-        "--family", default=",".join(FAMILIES), metavar="A,B", help=f"of {', '.join(FAMILIES)} (all, in turn)"
-    )
-    parser.add_argument(
-        "--labels",
-        default="paths",
-        help=f"{' or '.join(LABELS)}: near-shortest paths, or verdicts on the shipped dictionary's nodes and edges "
-        "and shortest paths through them (paths)",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
-    parser.add_argument(
-        "--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists"
-    )
+    add = parser.add_argument
+    add("action", help=", ".join(ACTIONS))
+    add("--scenes", type=positive_int, required=True, metavar="N", help="scenes in all")
+    tried = "paths tried per scene (50)"
+    add("--paths-per-scene", type=positive_int, default=50, metavar="M", help=tried)
+    family = f"of {', '.join(FAMILIES)} (all, in turn)"
+    add("--family", default=",".join(FAMILIES), metavar="A,B", help=family)
+    labels = "near-shortest paths, or free nodes and edges of the dictionary, and shortest paths (paths)"
+    add("--labels", default="paths", help=f"{' or '.join(LABELS)}: {labels}")
+    add("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
+    add("--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists")
     add_robot(parser, "another robot than the Panda")
 
 
@@ -60,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if args.labels not in LABELS:
         raise UnknownChoiceError("kind of labels", args.labels, LABELS)
     recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, robot=robot)
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    compile_kernels(log)
 
     def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:
         with local_processes(args.jobs) as executor:
@@ -69,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
                     raise CvqmptError(f"shard {number}: {shard.detail}; what was finished is kept")
                 yield shard
 
-    paths = generate(recipe, args.out, ["cvqmpt", *sys.argv[1:]], ProgressBar("data"), in_processes)
+    paths = generate(recipe, args.out, own_command(), ProgressBar("data"), in_processes)
     print((args.out / "README.md").read_text())
     print(f"{paths} paths in {args.out}")
     return 0

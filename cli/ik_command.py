@@ -26,20 +26,12 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Problem, where the end effector shall be, how many."""
-    parser.add_argument(
-        "--problem-file",
-        type=Path,
-        metavar="P.json",
-        required=True,
-        help="its robot, scene, constraint and attachments count; start and goals may still be missing",
-    )
+    given = "robot, scene, constraint and attachments; start and goals may still be missing"
+    parser.add_argument("--problem-file", type=Path, metavar="P.json", required=True, help=given)
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument(
-        "--pose", metavar="'X Y Z R P Y'", help="end-effector pose in the world: [m], roll, pitch, yaw [rad]"
-    )
-    where.add_argument(
-        "--region", help="a region as in a problem file, or goal_region or start_region for that of the file"
-    )
+    pose = "end-effector pose in the world: [m], roll, pitch, yaw [rad]"
+    where.add_argument("--pose", metavar="'X Y Z R P Y'", help=pose)
+    where.add_argument("--region", help="as in a problem file; or goal_region or start_region of the file")
     parser.add_argument("--count", type=positive_int, default=1, metavar="N", help="how many at most (1)")
     parser.add_argument("--seed", type=positive_int, default=1, help="seed of all randomness (1)")
     parser.add_argument("--json", action="store_true", help="print one json object")
@@ -49,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """Sample, print; exit code 1 when there is none."""
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
-    with located(f"{args.problem_file}"):
+    with located(str(args.problem_file)):
         robot = robot_from_source(mapping(data.get("robot"), "robot"))
         middle = 0.5 * (robot.lower + robot.upper)  # stands for a start that may still be missing
         given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}

@@ -23,20 +23,16 @@ SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do, with which folders."""
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "action",
-        help=f"{' or '.join(ACTIONS)}; published VQ-MPT folders can be imported, MPNet's cannot: the order of "
-        "its inputs is written down nowhere, so train it instead (cvqmpt train mpnet)",
+        help=f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it instead)",
     )
-    parser.add_argument(
-        "--model",
-        metavar="DIR",
-        help=f"info: {', '.join(SHIPPED)}, or the folder of a model or of its training (vq_mpt)",
-    )
-    parser.add_argument("--json", action="store_true", help="info: everything, as json")
-    parser.add_argument("--dictionary-dir", type=Path, metavar="DIR", help="import: published stage 1")
-    parser.add_argument("--ar-dir", type=Path, metavar="DIR", help="import: published stage 2")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="import: folder to write, new or empty")
+    add("--model", metavar="DIR", help=f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)")
+    add("--json", action="store_true", help="info: everything, as json")
+    add("--dictionary-dir", type=Path, metavar="DIR", help="import: published stage 1")
+    add("--ar-dir", type=Path, metavar="DIR", help="import: published stage 2")
+    add("--out", type=Path, metavar="DIR", help="import: folder to write, new or empty")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -112,8 +108,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
     shown = {name: metadata[name] for name in SUMMARY if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
-    texts = {
-        name: f"{x:.6g}" if isinstance(x, float) else str(x) for name, x in shown.items() if x is not None
-    }
-    lines += ["", *(f"{name:44} {text}" for name, text in texts.items())]
+    lines.append("")
+    for name, x in shown.items():
+        if x is not None:
+            lines.append(f"{name:44} {x:.6g}" if isinstance(x, float) else f"{name:44} {x}")
     return [*lines, "", f"sizes and training in full: cvqmpt model info --model {found['folder']} --json"]

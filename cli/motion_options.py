@@ -26,27 +26,16 @@ POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 def add_motion(parser: argparse.ArgumentParser) -> None:
     """--start, --goal, --goal-pose and --constraint."""
     motion = parser.add_argument_group("a motion through what --cloud shows, instead of a suite or a file")
-    motion.add_argument("--start", metavar="Q", help="configuration, numbers separated by commas [rad or m]")
-    motion.add_argument(
-        "--goal",
-        metavar="Q",
-        action="append",
-        default=[],
-        help="configuration to reach; repeatable: any of them",
+    add = motion.add_argument
+    many: dict[str, Any] = {"action": "append", "default": []}
+    add("--start", metavar="Q", help="configuration, numbers separated by commas [rad or m]")
+    add("--goal", metavar="Q", **many, help="configuration to reach; repeatable: any of them")
+    pose = "end-effector pose to reach instead: [m], roll, pitch, yaw [rad]"
+    add("--goal-pose", metavar="X,Y,Z,R,P,Y", help=pose)
+    kinds = (
+        f"{', '.join(NAMED)} (the first two as at the start), or a region as in a problem file; repeatable"
     )
-    motion.add_argument(
-        "--goal-pose",
-        metavar="X,Y,Z,R,P,Y",
-        help="end-effector pose to reach instead: [m], roll, pitch, yaw [rad]",
-    )
-    motion.add_argument(
-        "--constraint",
-        metavar="NAME[=VALUE]|JSON",
-        action="append",
-        default=[],
-        help=f"{', '.join(NAMED)}, or a region as in a problem file; upright and fixed-orientation keep what they find "
-        "at the start; repeatable",
-    )
+    add("--constraint", metavar="NAME[=VALUE]|JSON", **many, help=kinds)
 
 
 def motion_given(args: argparse.Namespace) -> bool:

@@ -28,10 +28,20 @@ def positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
 
 
+def log(text: str) -> None:
+    """Print a line on standard error at once."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def own_command() -> list[str]:
+    """The words of this command line, for provenance."""
+    return ["cvqmpt", *sys.argv[1:]]
+
+
 def add_model(parser: argparse.ArgumentParser) -> None:
     """--model."""
     parser.add_argument(
-        "--model", metavar="DIR", help="weights of the planner: a folder of your own (those of the package)"
+        "--model", metavar="DIR", help="folder of the planner's weights (those of the package)"
     )
 
 
@@ -79,12 +89,8 @@ class ProgressBar:
             filled = 30 * done // max(total, 1)
             bar = "#" * filled + "-" * (30 - filled)
             end = "\n" if done == total else ""
-            print(
-                f"\r{self._label} [{bar}] {done}/{total}  {left}  {note[:40]:40}",
-                end=end,
-                file=sys.stderr,
-                flush=True,
-            )
+            line = f"\r{self._label} [{bar}] {done}/{total}  {left}  {note[:40]:40}"
+            print(line, end=end, file=sys.stderr, flush=True)
         elif 10 * done // max(total, 1) > self._tenth or done == total:
             self._tenth = 10 * done // max(total, 1)
-            print(f"{self._label} {done}/{total}, {left}  {note}".rstrip(), file=sys.stderr, flush=True)
+            log(f"{self._label} {done}/{total}, {left}  {note}".rstrip())

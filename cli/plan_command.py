@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from cli.motion_options import add_motion, arm_of, motion_given, motion_problem, scanned
-from cli.options import add_model, writable_file
+from cli.options import add_model, log, writable_file
 from cli.plan_report import as_json, report
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
 from cli.robot_options import add_problem, problem_asked, robot_source
@@ -17,7 +17,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planners import PLANNERS, Method, planner_named
+from cvqmpt_lab.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.search.result import JointPath
@@ -26,74 +26,44 @@ from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.suite import SUITES, suite_named
 
 EXAMPLES = (
-    "cvqmpt plan place-task --problem 7 --planner birrt --seed 0",
-    "cvqmpt plan place-task-with-can --problem 7 --planner ompl-projected --cutoff 30",
-    "cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd",
-    "cvqmpt plan place-task --problem 7 --picture plan.png --save plan.gif",
-    "cvqmpt plan place-task --problem 7 --trajectory motion.json --speed 0.2",
-    "cvqmpt plan multi-sequence --problem 3 --save task.rrd --picture task.png",
-    "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05",
-    "cvqmpt plan --task-file task.json --planner ompl-projected",
-    "cvqmpt plan place-task --planner opt-cvq-mpt --model runs/stage2 --json",
-    "cvqmpt plan --problem-file mine.json --robot ur5",
+    "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05 --picture plan.png --save plan.gif",
+    "cvqmpt plan --problem-file mine.json --robot ur5 --trajectory motion.json --speed 0.2",
+    "cvqmpt plan --task-file task.json --planner ompl-projected --save task.rrd",
     "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal 1,0,0,-2,0,2,0",
-    "cvqmpt plan --problem-file mine.json --urdf arm.urdf --end-effector tool --lock gripper=0.02",
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Problem, planner, budget, and where to show it."""
-    add_problem(parser, "another robot for the problem of --problem-file, or for --start and --goal")
-    parser.add_argument(
-        "--task-file",
-        type=Path,
-        metavar="T.json",
-        help="a task of several phases instead, planned phase by phase",
-    )
-    parser.add_argument("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
+    add = parser.add_argument
+    add_problem(parser, "another robot for --problem-file, or for --start and --goal")
+    task = "a task of several phases instead, planned phase by phase"
+    add("--task-file", type=Path, metavar="T.json", help=task)
+    add("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
     add_model(parser)
-    parser.add_argument(
-        "--cloud",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="SCAN.pcd|ply|npy|xyz|png",
-        help="with --start and --goal the obstacles; with a suite or file, whose obstacles count, what a network "
-        "is shown; repeatable",
-    )
-    parser.add_argument(
-        "--scene", type=Path, metavar="S.json", help="obstacles of --start and --goal, not --cloud"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
-    parser.add_argument("--json", action="store_true", help="print one json object instead of the report")
-    parser.add_argument(
-        "-v", "--verbose", action="store_true", help="say on standard error what happens inside"
-    )
+    cloud = "obstacles of --start and --goal; beside a suite or file what a network is shown; repeatable"
+    kinds = "SCAN.pcd|ply|npy|xyz|png"
+    add("--cloud", type=Path, action="append", default=[], metavar=kinds, help=cloud)
+    add("--scene", type=Path, metavar="S.json", help="obstacles of --start and --goal, not --cloud")
+    add("--seed", type=int, default=0, help="seed of all randomness (0)")
+    add("--json", action="store_true", help="print one json object instead of the report")
+    add("-v", "--verbose", action="store_true", help="say on standard error what happens inside")
     add_motion(parser)
     add_scan(parser)
     add_budget(parser)
     add_optimize(parser)
     add_show(parser)
-    parser.add_argument("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
-    parser.add_argument(
-        "--trajectory",
-        type=Path,
-        metavar="OUT.csv|OUT.json",
-        help="write the path as the fastest motion in time; json for ROS",
-    )
-    parser.add_argument(
-        "--speed",
-        type=float,
-        metavar="FACTOR",
-        help="share of the joints' limits that --trajectory uses (0.1)",
-    )
+    add("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
+    timed = "write the path as the fastest motion in time; json for ROS"
+    add("--trajectory", type=Path, metavar="OUT.csv|OUT.json", help=timed)
+    share = "share of the joints' limits that --trajectory uses (0.1)"
+    add("--speed", type=float, metavar="FACTOR", help=share)
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    for path in (args.save_path, args.trajectory):
-        if path is not None:
-            writable_file(path)
+    for path in filter(None, (args.save_path, args.trajectory)):
+        writable_file(path)
     check_show(args)
     if args.seed < 0:
         raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
@@ -102,18 +72,21 @@ def run(args: argparse.Namespace) -> int:
         from cli.plan_task import run_task  # timing needs scipy.interpolate, half a second to import
 
         return run_task(args, problem)
-    method = _method(args, problem)
+    method = planner_named(args.planner, args.model)
+    if args.cloud and not motion_given(args):  # of a suite or file, whose own obstacles count
+        method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     _check_timing(args, problem)
-    warm_up(problem, method, args.backend, lambda text: print(text, file=sys.stderr, flush=True))
+    warm_up(problem, method, args.backend, log)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    solution = solve(
-        problem, method, budget(args), args.seed, backend=args.backend, optimize=optimize_budget(args)
-    )
+    more = optimize_budget(args)
+    solution = solve(problem, method, budget(args), args.seed, backend=args.backend, optimize=more)
     print(as_json(solution, args.planner) if args.json else "\n".join(report(solution, args.planner)))
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and solution.simplified:
-        _write_path(args.save_path, solution)
+        states = solution.simplified.path.states
+        lines = (",".join(repr(float(x)) for x in q) for q in states)
+        write_text(args.save_path, "\n".join([",".join(problem.robot.joint_names), *lines, ""]))
         say(f"path written to {args.save_path}")
     if args.trajectory:
         say(_write_trajectory(args, solution))
@@ -121,14 +94,6 @@ def run(args: argparse.Namespace) -> int:
     for line in show_solution(args, solution, carried):
         say(line)
     return 0 if solution.solved else 1
-
-
-def _method(args: argparse.Namespace, problem: PlanningProblem) -> Method:
-    """The planner of the command line, shown the cloud that was given for it beside a problem of its own."""
-    method = planner_named(args.planner, args.model)
-    if not args.cloud or motion_given(args):
-        return method
-    return method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
@@ -163,13 +128,6 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
     file_type(args.trajectory)
     args.speed = SLOW if args.speed is None else args.speed
     problem.robot.joint_limits.scaled(args.speed)
-
-
-def _write_path(path: Path, solution: Solution) -> None:
-    assert solution.simplified is not None
-    header = ",".join(solution.problem.robot.joint_names)
-    rows = "\n".join(",".join(repr(float(x)) for x in q) for q in solution.simplified.path.states)
-    write_text(path, f"{header}\n{rows}\n")
 
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:

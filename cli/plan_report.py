@@ -45,17 +45,12 @@ def report(solution: Solution, planner: str) -> list[str]:
 
 def _gain(made: Improvement) -> str:
     """How much of the time for it was used, and what was gained."""
-    of = "" if made.budget.seconds is None else f" of {1e3 * made.budget.seconds:g}"
-    counted = (
-        ""
-        if made.budget.iterations is None
-        else f", {made.iterations} of {made.budget.iterations} iterations"
-    )
+    used, budget = f"{1e3 * made.seconds:.1f}", made.budget
+    used += " ms" if budget.seconds is None else f" of {1e3 * budget.seconds:g} ms"
+    used += "" if budget.iterations is None else f", {made.iterations} of {budget.iterations} iterations"
     (_, first), (_, last) = made.lengths[0], made.lengths[-1]
-    return (
-        f"{1e3 * made.seconds:.1f}{of} ms{counted}: {made.searches} searches, {first:.2f} to {last:.2f} rad "
-        f"({made.gained:.0%} shorter)"
-    )
+    gain = f"{first:.2f} to {last:.2f} rad ({made.gained:.0%} shorter)"
+    return f"{used}: {made.searches} searches, {gain}"
 
 
 def _status(solution: Solution) -> str:
@@ -94,10 +89,7 @@ def as_json(solution: Solution, planner: str) -> str:
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
         "goals": len(problem.goals),
-        "constraint": [
-            {"region": use.region, "row": use.row, "value": use.value, "lower": use.lower, "upper": use.upper}
-            for use in uses_of(solution)
-        ],
+        "constraint": [vars(use) for use in uses_of(solution)],
         "planner": planner,
         "sampler": plan.sampler,
         "status": str(plan.status),
@@ -115,12 +107,9 @@ def as_json(solution: Solution, planner: str) -> str:
         },
         "counts": vars(plan.counters) | {"vertices": plan.vertices},
         "length_rad": shorter.path.length if shorter else None,
-        "optimize": None
-        if more is None
-        else vars(more) | {"budget": vars(more.budget), "gained": more.gained},
-        "certificate": None
-        if certificate is None
-        else vars(certificate) | {"valid": certificate.valid, "reasons": list(certificate.reasons)},
+        "optimize": more and vars(more) | {"budget": vars(more.budget), "gained": more.gained},
+        "certificate": certificate
+        and vars(certificate) | {"valid": certificate.valid, "reasons": list(certificate.reasons)},
         "path": shorter.path.states.tolist() if shorter else None,
     }
     return json.dumps(_finite(data), indent=1, allow_nan=False)

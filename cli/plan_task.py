@@ -1,8 +1,8 @@
 """Tasks of several phases on the command line of `cvqmpt plan`."""
 
 import argparse
-import sys
 
+from cli.options import log
 from cli.planner_options import budget
 from cli.show_options import show_task
 from cvqmpt_lab.errors import InvalidInputError
@@ -22,12 +22,10 @@ def run_task(args: argparse.Namespace, task: Task) -> int:
     if wrong is not None:
         raise InvalidInputError(f"--{wrong.replace('_', '-')} does not go with a task; leave it out")
     planner = planner_named(args.planner, args.model)
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    compile_kernels(log)
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)
-    print("\n".join(task_report(solution, args.planner)))
-    for line in show_task(args, solution):
-        print(line)
+    print("\n".join([*task_report(solution, args.planner), *show_task(args, solution)]))
     return 0 if solution.solved else 1
 
 

@@ -12,15 +12,10 @@ from cvqmpt_lab.search.space import BACKENDS
 def add_budget(parser: argparse.ArgumentParser) -> None:
     """--cutoff, --iterations and --backend."""
     parser.add_argument("--cutoff", type=positive, metavar="S", help="give up after S seconds (10)")
-    parser.add_argument(
-        "--iterations",
-        type=positive_int,
-        metavar="N",
-        help="give up after N iterations: repeatable bit for bit",
-    )
-    parser.add_argument(
-        "--backend", default="compiled", help=f"collision backend: {', '.join(BACKENDS)} (compiled)"
-    )
+    repeatable = "give up after N iterations: repeatable bit for bit"
+    parser.add_argument("--iterations", type=positive_int, metavar="N", help=repeatable)
+    backends = f"collision backend: {', '.join(BACKENDS)} (compiled)"
+    parser.add_argument("--backend", default="compiled", help=backends)
 
 
 def budget(args: argparse.Namespace) -> Budget:
@@ -31,12 +26,8 @@ def budget(args: argparse.Namespace) -> Budget:
 
 def add_optimize(parser: argparse.ArgumentParser) -> None:
     """--optimize."""
-    parser.add_argument(
-        "--optimize",
-        type=positive,
-        metavar="S",
-        help="spend S seconds more on a shorter path (iterations, where only --iterations bounds the run)",
-    )
+    more = "spend S seconds more on a shorter path (iterations, where only --iterations bounds the run)"
+    parser.add_argument("--optimize", type=positive, metavar="S", help=more)
 
 
 def optimize_budget(args: argparse.Namespace) -> Budget | None:
@@ -55,6 +46,6 @@ def optimize_budget(args: argparse.Namespace) -> Budget | None:
 
 def planner_list(text: str) -> tuple[str, ...]:
     """Names separated by commas; "all" is every planner."""
-    return (
-        tuple(PLANNERS) if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
-    )
+    if text == "all":
+        return tuple(PLANNERS)
+    return tuple(name.strip() for name in text.split(",") if name.strip())

@@ -25,26 +25,21 @@ GOALS_WIN = "The goals are used as they are; take them out, and new ones are dra
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Action, suite or file, how many, where to."""
-    parser.add_argument("action", help=", ".join(ACTIONS))
-    parser.add_argument("what", help=f"suite: {', '.join(SUITES)}; with new: the file to write")
-    parser.add_argument("--problems", type=positive_int, metavar="N", help="only the first N (all)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the json files (with export)")
-    parser.add_argument(
-        "--goals", action="store_true", help="write sampled goals beside the goal region (with export)"
-    )
-    parser.add_argument("--robot", metavar="NAME", help="robot of the new problem (panda)")
+    add = parser.add_argument
+    add("action", help=", ".join(ACTIONS))
+    add("what", help=f"suite: {', '.join(SUITES)}; with new: the file to write")
+    add("--problems", type=positive_int, metavar="N", help="only the first N (all)")
+    add("--out", type=Path, metavar="DIR", help="folder for the json files (with export)")
+    add("--goals", action="store_true", help="write sampled goals beside the goal region (with export)")
+    add("--robot", metavar="NAME", help="robot of the new problem (panda)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Build each problem; print a line or write a file."""
     if args.action not in ACTIONS:
         raise UnknownChoiceError("action", args.action, ACTIONS)
-    for option, action in (
-        ("problems", "list or export"),
-        ("out", "export"),
-        ("goals", "export"),
-        ("robot", "new"),
-    ):
+    goes_with = {"problems": "list or export", "out": "export", "goals": "export", "robot": "new"}
+    for option, action in goes_with.items():
         if getattr(args, option) and args.action not in action:
             raise InvalidInputError(f"--{option} goes with {action}, not with {args.action}")
     return ACTIONS[args.action](args)

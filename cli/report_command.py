@@ -12,9 +12,8 @@ NAME = "report.html"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of what, and where to."""
-    parser.add_argument(
-        "directory", type=Path, metavar="DIR", help="a results directory, or a folder that holds several"
-    )
+    of = "a results directory, or a folder that holds several"
+    parser.add_argument("directory", type=Path, metavar="DIR", help=of)
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"the file that is written (DIR/{NAME})")
 
 

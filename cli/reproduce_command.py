@@ -1,11 +1,10 @@
 """`cvqmpt reproduce`: run a suite, or all of them, and write rows, tables, and of all verdicts and the report."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from cli.claims_command import PAGE_NAME, pages_of, verdict_lines
-from cli.options import ProgressBar, add_model, positive_int
+from cli.options import ProgressBar, add_model, log, own_command, positive_int
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
 from cli.report_command import write_report
 from cli.table_command import show_tables
@@ -27,35 +26,26 @@ EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out runs/can",
-    "cvqmpt reproduce multi-sequence --problems 2 --planners birrt,ompl-projected",
     "cvqmpt reproduce place-task --seeds 5 --dask tcp://head:8786 --out runs/cluster",
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Suite, how much of it, with which planners, and where to."""
-    parser.add_argument("suite", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
-    parser.add_argument(
-        "--profile",
-        default="full",
-        help=f"of {ALL}: {', '.join(PROFILES)}; on two cores a night, an hour, ten minutes (full)",
-    )
-    parser.add_argument(
-        "--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)"
-    )
-    parser.add_argument("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
-    parser.add_argument(
-        "--planners", type=planner_list, metavar="A,B", help=f"of {', '.join(PLANNERS)} (all that can)"
-    )
+    add = parser.add_argument
+    add("suite", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
+    hours = "on two cores a night, an hour, ten minutes (full)"
+    add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {hours}")
+    add("--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)")
+    add("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
+    add("--planners", type=planner_list, metavar="A,B", help=f"of {', '.join(PLANNERS)} (all that can)")
     add_model(parser)
     add_budget(parser)
     add_optimize(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
-    where.add_argument(
-        "--dask", metavar="ADDRESS", help="a Dask scheduler, whose workers run it: tcp://HOST:8786"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE)")
+    where.add_argument("--dask", metavar="ADDRESS", help="a Dask scheduler that runs it: tcp://HOST:8786")
+    add("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,10 +64,9 @@ def run(args: argparse.Namespace) -> int:
         optimize=optimize_budget(args),
     )
     out = args.out or Path("runs") / suite.name
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
-    command = ["cvqmpt", *sys.argv[1:]]
+    compile_kernels(log)
     with executor_for(experiment, args.jobs or default_jobs(), args.dask) as executor:
-        run_experiment(experiment, out, executor, command, ProgressBar(suite.name))
+        run_experiment(experiment, out, executor, own_command(), ProgressBar(suite.name))
     show_tables(out)
     return 0
 
@@ -91,7 +80,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
             "less, or name one suite"
         )
     chosen, out, jobs = amounts(args.profile), args.out or Path("runs/all"), args.jobs or default_jobs()
-    compile_kernels(lambda text: print(text, file=sys.stderr, flush=True))
+    compile_kernels(log)
     for amount in chosen:
         folder = out / amount.folder
         command = [*amount.command, "--jobs", str(jobs), "--out", str(folder)]

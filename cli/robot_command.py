@@ -26,33 +26,28 @@ EXAMPLES = (
     "cvqmpt robot arm.urdf --package-dir ~/ros/src --json",
     "cvqmpt robot arm.urdf --end-effector tool --srdf-out arm.srdf",
 )
-TRIED = 200
-"""Random configurations, of which the share free of self-collision is told."""
-NAMES = 8
-"""Names listed of many; --json lists all."""
+TRIED = 200  # random configurations, of which the share free of self-collision is told
+NAMES = 8  # listed of many; --json lists all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The robot, and what to write of it."""
-    parser.add_argument("robot", nargs="?", metavar="URDF_OR_NAME", help="none: the names are listed")
+    add = parser.add_argument
+    add("robot", nargs="?", metavar="URDF_OR_NAME", help="none: the names are listed")
     add_robot_options(parser)
-    parser.add_argument("--json", action="store_true", help="print everything as one json object")
-    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw its collision pieces")
-    parser.add_argument(
-        "--srdf-out", type=Path, metavar="ARM.srdf", help="write the pairs of links that are not checked"
-    )
+    add("--json", action="store_true", help="print everything as one json object")
+    add("--picture", type=Path, metavar="FILE.png", help="draw its collision pieces")
+    add("--srdf-out", type=Path, metavar="ARM.srdf", help="write the pairs of links that are not checked")
 
 
 def run(args: argparse.Namespace) -> int:
     """Load and tell."""
     if args.robot is None:
-        print(
-            "\n".join(f"{name:16} {arm.urdf}, end effector {arm.end_effector}" for name, arm in ARMS.items())
-        )
+        for name, arm in ARMS.items():
+            print(f"{name:16} {arm.urdf}, end effector {arm.end_effector}")
         return 0
-    for path in (args.picture, args.srdf_out):
-        if path is not None:
-            writable_file(path)
+    for path in filter(None, (args.picture, args.srdf_out)):
+        writable_file(path)
     source, others = _source(args)
     robot = robot_from_source(source)
     said = describe(robot)

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from cli.options import numbers
-from cvqmpt_lab.codec.plain import mapping, to_plain
+from cvqmpt_lab.codec.plain import mapping
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
-from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -20,40 +19,24 @@ from experiments.suites.suite import SUITES, suite_named
 def add_robot(parser: argparse.ArgumentParser, title: str) -> None:
     """--robot, --urdf and the options of both, under a title."""
     robot = parser.add_argument_group(title)
-    robot.add_argument(
-        "--robot", metavar="NAME", help="an arm by name: panda, ur5, xarm7, ...; cvqmpt robot lists them"
-    )
+    name = "an arm by name: panda, ur5, xarm7, ...; cvqmpt robot lists them"
+    robot.add_argument("--robot", metavar="NAME", help=name)
     robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="an arm of hinges and sliders")
     add_robot_options(robot)
 
 
 def add_robot_options(robot: Any) -> None:
     """What may be said of a robot, whichever way it is named."""
-    robot.add_argument("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
-    robot.add_argument("--srdf", type=Path, metavar="ARM.srdf", help="file with link pairs not to check")
-    robot.add_argument(
-        "--package-dir",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable",
-    )
-    robot.add_argument(
-        "--lock",
-        action="append",
-        default=[],
-        metavar="JOINT=VALUE",
-        help="fix a joint [rad or m]; repeatable; joints beside base and end effector are fixed anyway",
-    )
-    robot.add_argument(
-        "--base", metavar="X,Y,Z[,R,P,Y]", help="where its base stands [m], roll, pitch and yaw [rad]"
-    )
-    robot.add_argument(
-        "--acceleration",
-        metavar="A[,A...]",
-        help="its joints' acceleration limits, one each or one for all [rad/s^2]; --trajectory needs them",
-    )
+    add = robot.add_argument
+    many: dict[str, Any] = {"action": "append", "default": []}
+    add("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
+    add("--srdf", type=Path, metavar="ARM.srdf", help="file with link pairs not to check")
+    meshes = "where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable"
+    add("--package-dir", type=Path, **many, metavar="DIR", help=meshes)
+    add("--lock", **many, metavar="JOINT=VALUE", help="fix a joint [rad or m]; repeatable")
+    add("--base", metavar="X,Y,Z[,R,P,Y]", help="where its base stands [m], roll, pitch and yaw [rad]")
+    limits = "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them"
+    add("--acceleration", metavar="A[,A...]", help=limits)
 
 
 def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> dict[str, Any] | None:
@@ -66,23 +49,21 @@ def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> 
         raise InvalidInputError(f"--robot {args.robot} and --urdf {args.urdf}: give one of the two")
     if args.robot is not None:
         return {"name": args.robot, **options}
-    if args.urdf is None:
-        if options and problem_file is not None:
-            own = mapping(
-                read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot"
-            )
-            return {**own, **options, "locked": {**own.get("locked", {}), **options.get("locked", {})}}
-        if options:
-            raise InvalidInputError(
-                "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe the robot of "
-                "--robot or --urdf; give it"
-            )
-        return None
-    if args.end_effector is None:
+    if args.urdf is not None and args.end_effector is None:
         raise InvalidInputError(
             f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot {args.urdf} suggests one"
         )
-    return {"urdf": str(args.urdf.absolute()), **options}
+    if args.urdf is not None:
+        return {"urdf": str(args.urdf.absolute()), **options}
+    if options and problem_file is None:
+        raise InvalidInputError(
+            "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe the robot of "
+            "--robot or --urdf; give it"
+        )
+    if not options or problem_file is None:
+        return None
+    own = mapping(read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot")
+    return {**own, **options, "locked": {**own.get("locked", {}), **options.get("locked", {})}}
 
 
 def chosen_robot(args: argparse.Namespace) -> Robot:
@@ -102,19 +83,14 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     if args.lock:
         options["locked"] = dict(_locked_joint(text) for text in args.lock)
     if args.base is not None:
-        options["base"] = to_plain(_base(args.base))
+        x = numbers("--base", args.base)
+        if len(x) not in (3, 6):
+            raise InvalidInputError(f"--base {args.base!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
+        options["base"] = {"xyz": x[:3], "rpy": x[3:] or None}
     if args.acceleration is not None:
         accelerations = numbers("--acceleration", args.acceleration)
         options["acceleration_limits"] = accelerations[0] if len(accelerations) == 1 else accelerations
     return options
-
-
-def _base(text: str) -> Placement:
-    """The pose of --base."""
-    x = numbers("--base", text)
-    if len(x) not in (3, 6):
-        raise InvalidInputError(f"--base {text!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
-    return Placement((x[0], x[1], x[2]), (x[3], x[4], x[5]) if len(x) == 6 else None)
 
 
 def _locked_joint(text: str) -> tuple[str, float]:
@@ -129,10 +105,7 @@ def _locked_joint(text: str) -> tuple[str, float]:
     return joint, number
 
 
-# Which problem, on the command line: an index in a suite, or a file, perhaps for another robot.
-def add_problem(
-    parser: argparse.ArgumentParser, robot: str = "another robot for the problem of --problem-file"
-) -> None:
+def add_problem(parser: argparse.ArgumentParser, robot: str = "another robot for --problem-file") -> None:
     """The suite, --problem, --problem-file and the options of its robot, under that title."""
     parser.add_argument("suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}")
     parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")

@@ -25,29 +25,19 @@ SCENE = ".json"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Files, cameras, filters, the robot, where to."""
-    parser.add_argument(
-        "files",
-        nargs="+",
-        type=Path,
-        metavar="FILE",
-        help="clouds (pcd, ply, npy, xyz) or depth images (png, npy)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="OUT.pcd|ply|npy|json",
-        help="the cleaned cloud, or as json a scene for plan --scene; repeatable",
-    )
-    parser.add_argument("--picture", type=Path, metavar="P.png", help="what is left, and the robot")
+    add = parser.add_argument
+    kinds = "clouds (pcd, ply, npy, xyz) or depth images (png, npy)"
+    add("files", nargs="+", type=Path, metavar="FILE", help=kinds)
+    out = "the cleaned cloud, or as json a scene for plan --scene; repeatable"
+    add("--out", type=Path, action="append", default=[], metavar="OUT.pcd|ply|npy|json", help=out)
+    add("--picture", type=Path, metavar="P.png", help="what is left, and the robot")
     add_scan(parser)
     add_robot(parser, "the robot whose points go (panda)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, clean, report, write."""
-    for path in (*args.out, *([args.picture] if args.picture else [])):
+    for path in filter(None, (*args.out, args.picture)):
         writable_file(path)
     for path in args.out:
         if path.suffix not in (SCENE, *WRITERS):

@@ -19,26 +19,17 @@ FILMS = (".gif", ".mp4")
 def add_show(parser: argparse.ArgumentParser) -> None:
     """--picture, --save and --view."""
     shown = parser.add_argument_group("what to look at")
-    shown.add_argument(
-        "--picture",
-        type=Path,
-        metavar="P.png",
-        help="a still picture: start, goal and the way between; of a task, the end of each phase",
-    )
-    shown.add_argument(
-        "--save",
-        type=Path,
-        metavar="RUN.rrd|gif|mp4",
-        help="a rerun recording, or a film (mp4 where ffmpeg is installed)",
-    )
+    still = "a still picture: start, goal and the way between; of a task, the end of each phase"
+    shown.add_argument("--picture", type=Path, metavar="P.png", help=still)
+    film = "a rerun recording, or a film (mp4 where ffmpeg is installed)"
+    shown.add_argument("--save", type=Path, metavar="RUN.rrd|gif|mp4", help=film)
     shown.add_argument("--view", action="store_true", help="open the rerun viewer; needs a display")
 
 
 def check_show(args: argparse.Namespace) -> None:
     """Refuse before planning what would fail after it."""
-    for path in (args.save, args.picture):
-        if path is not None:
-            writable_file(path)
+    for path in filter(None, (args.save, args.picture)):
+        writable_file(path)
     if args.save is not None and args.save.suffix != RECORDING:
         if args.save.suffix not in FILMS:
             raise UnknownChoiceError(f"--save {args.save}: suffix", args.save.suffix, (RECORDING, *FILMS))

@@ -16,15 +16,10 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The directory."""
-    parser.add_argument(
-        "directory", type=Path, metavar="DIR", help="a directory with runs.csv and provenance.json"
-    )
-    parser.add_argument(
-        "--ompl-log",
-        type=Path,
-        metavar="FILE",
-        help="write the rows as OMPL's benchmark log instead, for ompl_benchmark_statistics and Planner Arena",
-    )
+    kept = "a directory with runs.csv and provenance.json"
+    parser.add_argument("directory", type=Path, metavar="DIR", help=kept)
+    log = "write OMPL's benchmark log instead, for ompl_benchmark_statistics and Planner Arena"
+    parser.add_argument("--ompl-log", type=Path, metavar="FILE", help=log)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,8 +27,8 @@ def run(args: argparse.Namespace) -> int:
     if args.ompl_log:
         write_ompl_log(args.directory, writable_file(args.ompl_log))
         print(f"{args.ompl_log} written; read it with: ompl_benchmark_statistics {args.ompl_log} -d FILE.db")
-        return 0
-    show_tables(args.directory)
+    else:
+        show_tables(args.directory)
     return 0
 
 

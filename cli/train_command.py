@@ -2,10 +2,9 @@
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
-from cli.options import ProgressBar, positive, positive_int
+from cli.options import ProgressBar, log, own_command, positive, positive_int
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
@@ -19,51 +18,36 @@ EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train edge-model --data data/roadmap --out runs/edges",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
-    "cvqmpt train mpnet --data data/roadmap --out runs/mpnet --minutes 30",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
-    "cvqmpt train stage1 --config mine.json --data data/paths --out runs/mine",
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
-    parser.add_argument(
-        "stage",
-        help=f"what to train: {', '.join(MODELS)}; or edge-model: the edge validity model of a VQ-MPT, in minutes, "
-        "from data with --labels roadmap",
-    )
+    add = parser.add_argument
+    edges = "edge-model: the edge validity model of a VQ-MPT, from data with --labels roadmap"
+    add("stage", help=f"what to train: {', '.join(MODELS)}; or {edges}")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
     how.add_argument("--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config")
-    parser.add_argument("--print-config", action="store_true", help="print the profile as json and stop")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="what `cvqmpt data generate` wrote")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="state, curves and model/ go there; continued if it is there"
-    )
-    parser.add_argument(
+    add("--print-config", action="store_true", help="print the profile as json and stop")
+    add("--data", type=Path, metavar="DIR", help="what `cvqmpt data generate` wrote")
+    add("--out", type=Path, metavar="DIR", help="for state, curves and model/; continued if it is there")
+    add(
         "--dictionary",
         type=Path,
         metavar="DIR",
-        help="for stage2 (of the authors' architecture): --out of stage1",
+        help="stage2 (of the authors' architecture): --out of stage1",
     )
-    parser.add_argument(
-        "--model", metavar="DIR", help="for edge-model: weights that get it (the shipped VQ-MPT)"
-    )
-    parser.add_argument(
-        "--scenes",
-        type=positive_int,
-        default=ENOUGH_SCENES,
-        metavar="N",
-        help=f"for edge-model: learn from so many at most ({ENOUGH_SCENES})",
-    )
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
-    parser.add_argument("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
-    parser.add_argument("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
-    parser.add_argument("--device", default="auto", help="cpu, cuda, or auto (auto)")
-    parser.add_argument(
-        "--workers", type=int, default=0, metavar="J", help="processes that prepare batches (0: none)"
-    )
-    parser.add_argument("--skip-checksums", action="store_true", help="trust the shards of --data")
+    add("--model", metavar="DIR", help="edge-model: weights that get it (the shipped VQ-MPT)")
+    most = f"edge-model: learn from so many at most ({ENOUGH_SCENES})"
+    add("--scenes", type=positive_int, default=ENOUGH_SCENES, metavar="N", help=most)
+    add("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
+    add("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
+    add("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
+    add("--device", default="auto", help="cpu, cuda, or auto (auto)")
+    add("--workers", type=int, default=0, metavar="J", help="processes that prepare batches (0: none)")
+    add("--skip-checksums", action="store_true", help="trust the shards of --data")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -82,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             raise InvalidInputError(f"give --{name} DIR")
     if args.seed < 0 or args.workers < 0:
         raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
-    command = ["cvqmpt", *sys.argv[1:]]
+    command = own_command()
     origin = provenance(command, [args.seed])
     if args.stage in EDGE_MODEL:
         return _train_edge_model(args, {"provenance": origin})
@@ -106,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     for name, value in (progress.rows[-1] if progress.rows else {}).items():
         print(f"{name:40} {'' if value is None else format(value, '.6g')}")
     if not progress.finished:
-        print("stopped after --minutes; the same command continues", file=sys.stderr)
+        log("stopped after --minutes; the same command continues")
     print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
     return 0
 
