@@ -74,9 +74,9 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
 def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
     """InvalidInputError for a shape that would be cut into thousands of pieces: seconds, and soon minutes."""
-    points, swelling = outline(spec._replace(T_owner_shape=np.eye(4)))
+    points, inflation = outline(spec._replace(T_owner_shape=np.eye(4)))
     size = np.ptp(points, axis=0)
-    if swelling == 0.0 and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
+    if inflation == 0.0 and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
         raise InvalidInputError(
             f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan with: give sizes in "
             f"metres"
@@ -108,12 +108,12 @@ def _cloud(shape: Measured, T: np.ndarray, reach: float = np.inf, most_balls: in
 
 def _boxes(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
     """A carried cloud, as the cells that the exact checker sees."""
-    grains = _cloud(cloud, T, most_balls=0)
-    poses = np.tile(grains.T_world_cloud, (len(grains.centre), 1, 1))
-    poses[:, :3, 3] += grains.centre @ poses[0, :3, :3].T
+    primitives = _cloud(cloud, T, most_balls=0)
+    poses = np.tile(primitives.T_world_cloud, (len(primitives.centre), 1, 1))
+    poses[:, :3, 3] += primitives.centre @ poses[0, :3, :3].T
     return [
         ShapeSpec(BOX, tuple(2.0 * half), NO_VERTICES, pose)
-        for half, pose in zip(grains.half, poses, strict=True)
+        for half, pose in zip(primitives.half, poses, strict=True)
     ]
 
 

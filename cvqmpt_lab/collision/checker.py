@@ -80,8 +80,8 @@ def _outside(x, half):
 
 
 @kernel
-def _touches_grain(pieces, piece, scene, item, pose, centre, reach, margin):
-    """Whether a piece comes within margin of a grain of an item; pose: world in link.
+def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
+    """Whether a piece comes within margin of a primitive of an item; pose: world in link.
 
     centre, reach: a ball that holds the piece and the margin, in the link's frame.
     """
@@ -91,17 +91,17 @@ def _touches_grain(pieces, piece, scene, item, pose, centre, reach, margin):
     x = frame[0] * dx + frame[3] * dy + frame[6] * dz
     y = frame[1] * dx + frame[4] * dy + frame[7] * dz
     z = frame[2] * dx + frame[5] * dy + frame[8] * dz
-    for k in range(scene.grain_start[item], scene.grain_start[item + 1]):
-        grain = scene.grains[k]
-        half = (grain[3], grain[4], grain[5])
+    for k in range(scene.primitive_start[item], scene.primitive_start[item + 1]):
+        primitive = scene.primitives[k]
+        half = (primitive[3], primitive[4], primitive[5])
         a, b, c = (
-            _outside(x - grain[0], half[0]),
-            _outside(y - grain[1], half[1]),
-            _outside(z - grain[2], half[2]),
+            _outside(x - primitive[0], half[0]),
+            _outside(y - primitive[1], half[1]),
+            _outside(z - primitive[2], half[2]),
         )
         if a * a + b * b + c * c > (reach + radius) * (reach + radius):
             continue
-        p = _moved(frame, grain[0], grain[1], grain[2])
+        p = _moved(frame, primitive[0], primitive[1], primitive[2])
         axis = (centre[0] - p[0], centre[1] - p[1], centre[2] - p[2])
         if not box_separated(pieces, piece, half, radius, frame[:9] + p, axis, margin):
             return True
@@ -136,8 +136,8 @@ def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, m
         if separated(robot.pieces, piece, scene.shapes, i, pose, axis, margin):
             continue
         centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-        solid = scene.grain_start[i] == scene.grain_start[i + 1]
-        if solid or _touches_grain(robot.pieces, piece, scene, i, pose, centre, reach, margin):
+        solid = scene.primitive_start[i] == scene.primitive_start[i + 1]
+        if solid or _touches_primitive(robot.pieces, piece, scene, i, pose, centre, reach, margin):
             return i
     return FREE
 

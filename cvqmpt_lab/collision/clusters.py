@@ -1,4 +1,4 @@
-"""Sorting the grains of clouds, points or small boxes, into boxes of at most a handful of neighbours."""
+"""Sorting the primitives of clouds, points or small boxes, into boxes of at most a handful of neighbours."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,38 +7,38 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 
-MOST_GRAINS = 16  # in one cluster
+MOST_PRIMITIVES = 16  # in one cluster
 _FINE = 8  # steps of the sorting curve along the edge of a voxel
 _BITS = 21  # of each coordinate on the curve
 
 
 class Cloud(NamedTuple):
-    """Boxes along the axes of one frame, each swelled by a radius; points are boxes of size zero."""
+    """Boxes along the axes of one frame, each inflated by a radius; points are boxes of size zero."""
 
     centre: np.ndarray  # (k, 3) [m]
     half: np.ndarray  # (k, 3) half edges [m]
-    radius: float  # Swelling of every box [m]
+    radius: float  # Inflation of every box [m]
     T_world_cloud: np.ndarray  # (4, 4), pose of their frame [m]
 
 
 class Clusters(NamedTuple):
-    """Boxes around neighbouring grains, along the axes of their cloud's frame."""
+    """Boxes around neighbouring primitives, along the axes of their cloud's frame."""
 
     centre: np.ndarray  # (n, 3) in the world [m]
     half: np.ndarray  # (n, 3) half edges [m]
     rotation: np.ndarray  # (n, 3, 3), of the cloud's frame
-    radius: np.ndarray  # (n,) swelling of the grains [m]
+    radius: np.ndarray  # (n,) inflation of the primitives [m]
     cloud: np.ndarray  # (n,) int64, which cloud
     start: np.ndarray
-    """(n + 1,) int64 range of each cluster in `grains`; empty when the cluster is one grain, which its box is."""
-    grains: np.ndarray
+    """(n + 1,) int64 range of each cluster in `primitives`; empty for a cluster of one, which its box is."""
+    primitives: np.ndarray
     """(k, 6): centres, seen from those of their clusters in the cloud's axes, and half edges [m]."""
 
 
-def cluster_grains(clouds: Sequence[Cloud], voxel: float) -> Clusters:
-    """Return the grains of clouds in clusters of those whose centres lie in the same voxel of this edge [m].
+def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
+    """Return the primitives of clouds in clusters of those whose centres lie in the same voxel of this edge [m].
 
-    Raises InvalidInputError for grains that are not finite or a negative radius.
+    Raises InvalidInputError for primitives that are not finite or a negative radius.
     """
     parts = [_cluster_cloud(cloud, k, voxel) for k, cloud in enumerate(clouds) if len(cloud.centre)]
     if not parts:
@@ -46,9 +46,9 @@ def cluster_grains(clouds: Sequence[Cloud], voxel: float) -> Clusters:
         return Clusters(
             *(none, none, np.empty((0, 3, 3)), np.empty(0), np.empty(0, np.int64)),
             start=np.zeros(1, np.int64),
-            grains=np.empty((0, 6)),
+            primitives=np.empty((0, 6)),
         )
-    offsets = np.cumsum([0, *(len(part.grains) for part in parts)])
+    offsets = np.cumsum([0, *(len(part.primitives) for part in parts)])
     starts = [part.start[:-1] + offset for part, offset in zip(parts, offsets[:-1], strict=True)]
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts])
@@ -65,11 +65,11 @@ def _cluster_cloud(cloud: Cloud, number: int, voxel: float) -> Clusters:
     centre, half, cell = cloud.centre[order], cloud.half[order], key[order] // _FINE**3
     first_of_cell = np.append(True, cell[1:] != cell[:-1])
     place = np.arange(len(cell)) - np.flatnonzero(first_of_cell)[np.cumsum(first_of_cell) - 1]
-    start = np.flatnonzero(place % MOST_GRAINS == 0)
+    start = np.flatnonzero(place % MOST_PRIMITIVES == 0)
     low, high = np.minimum.reduceat(centre - half, start), np.maximum.reduceat(centre + half, start)
     middle, count = 0.5 * (low + high), np.diff(start, append=len(cell))
     listed = np.repeat(count > 1, count)
-    grains = np.concatenate([centre - np.repeat(middle, count, axis=0), half], axis=1)[listed]
+    primitives = np.concatenate([centre - np.repeat(middle, count, axis=0), half], axis=1)[listed]
     R, n = cloud.T_world_cloud[:3, :3], len(start)
     return Clusters(
         middle @ R.T + cloud.T_world_cloud[:3, 3],
@@ -78,7 +78,7 @@ def _cluster_cloud(cloud: Cloud, number: int, voxel: float) -> Clusters:
         np.full(n, float(cloud.radius)),
         np.full(n, number, dtype=np.int64),
         np.append(0, np.cumsum(np.where(count > 1, count, 0))),
-        grains,
+        primitives,
     )
 
 

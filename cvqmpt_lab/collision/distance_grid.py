@@ -20,12 +20,7 @@ LISTS = SIDE**3  # in all
 BETWEEN = 16  # obstacles, a block's distances are looked at for what can still lower them
 ROOM = 1024  # items of lists, to begin with
 REACH = 0.13  # [m] largest ball whose neighbours are listed
-CENTRE, HALF, SWELLING, COLUMNS = (
-    9,
-    12,
-    15,
-    16,
-)  # an obstacle's bounds: box (rotation first), swelled by a radius
+CENTRE, HALF, INFLATION, COLUMNS = 9, 12, 15, 16  # of an obstacle's bounds; rotation comes first
 _ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
 _HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
 
@@ -99,12 +94,12 @@ def _lower(best2, x, yz):
 
 
 @kernel
-def _lower_swelled(best, x, yz, swelling):
-    """The same for distances best, less a swelling [m]."""
+def _lower_inflated(best, x, yz, inflation):
+    """The same for distances best, less an inflation radius [m]."""
     for cx in range(COARSE):
         gap2 = x[cx]
         for c in range(COARSE * COARSE):
-            there = np.sqrt(gap2 + yz[c]) - swelling
+            there = np.sqrt(gap2 + yz[c]) - inflation
             best[cx, c] = there if there < best[cx, c] else best[cx, c]
 
 
@@ -121,7 +116,7 @@ def _add_straight(bounds, i, grid, reach, matters, work):
 
     matters: False when no distance of the block can be lowered. work: see `_Work`.
     """
-    swelling = bounds[i, 15]
+    inflation = bounds[i, 15]
     for a in range(3):
         low, high = bounds[i, 9 + a] - bounds[i, 12 + a], bounds[i, 9 + a] + bounds[i, 12 + a]
         _gaps(low, high, work.corner[a], grid.cell, work.gaps[a])
@@ -130,11 +125,11 @@ def _add_straight(bounds, i, grid, reach, matters, work):
         for cy in range(COARSE):
             for cz in range(COARSE):
                 work.yz[COARSE * cy + cz] = y[cy] + z[cz]
-        if swelling == 0.0:
+        if inflation == 0.0:
             _lower(work.best2, x, work.yz)
         else:
-            _lower_swelled(work.best, x, work.yz, swelling)
-    limit2 = (reach + swelling) * (reach + swelling)
+            _lower_inflated(work.best, x, work.yz, inflation)
+    limit2 = (reach + inflation) * (reach + inflation)
     for lx in range(SIDE):
         across = min(x[2 * lx], x[2 * lx + 1])
         for ly in range(SIDE if across <= limit2 else 0):

@@ -21,7 +21,7 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
 LONGEST_REACH = 20.0  # [m] of an arm with what it carries; more is a misplaced unit, and would never end
-SWELLINGS = (1e-3, 1e-2, 0.05, 0.25)  # [m] of boxes in a broad phase, which then reports what is that close
+INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)  # [m] of boxes in a broad phase, which then reports what is that close
 FARTHEST = 1e100  # [m] beyond this, coal found no pair to measure
 ROUNDING = 1e-6  # [m] coal's distances are no better than this
 
@@ -103,7 +103,7 @@ class CollisionChecker:
         "No" may mean "not known".
         """
         moved = self._sweep.in_world(q, hulls) + self._margin + ROUNDING
-        clear = moved.max(axis=1, initial=0.0) <= SWELLINGS[-1]
+        clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
         for k in np.flatnonzero(clear):
             pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q[k])
             self._own.update()
@@ -157,20 +157,20 @@ class CollisionChecker:
             nearest = min(nearest, callback.data.result.min_distance)
         return nearest if nearest < FARTHEST else np.inf
 
-    def _world(self, swelling: float) -> "_World":
-        """The obstacles in boxes that are swelled [m]."""
-        if swelling not in self._worlds:
+    def _world(self, inflation: float) -> "_World":
+        """The obstacles in boxes that are inflated [m]."""
+        if inflation not in self._worlds:
             objects = [
                 coal.CollisionObject(item.shape, transform(item.T_parent_shape)) for item in self._obstacles
             ]
-            more = np.full(3, swelling)
+            more = np.full(3, inflation)
             for item in objects:
                 item.getAABB().expand(more)
             phase = coal.DynamicAABBTreeCollisionManager()
             phase.registerObjects(objects)
             phase.setup()
-            self._worlds[swelling] = _World(phase, objects)
-        return self._worlds[swelling]
+            self._worlds[inflation] = _World(phase, objects)
+        return self._worlds[inflation]
 
     def _meets_obstacle(self, margins: np.ndarray) -> bool:
         """Whether a link, where the broad phase has it now, is closer to an obstacle than its margin [m]."""
@@ -183,8 +183,8 @@ class CollisionChecker:
         return False
 
     def _world_for(self, margin: float) -> "_World":
-        """The obstacles in boxes that are swelled by no less than a margin [m]."""
-        return self._world(next((s for s in (self._margin, *SWELLINGS) if s >= margin), margin))
+        """The obstacles in boxes that are inflated by no less than a margin [m]."""
+        return self._world(next((s for s in (self._margin, *INFLATIONS) if s >= margin), margin))
 
 
 def _box_gaps(first: list, second: list) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 A *piece* is a convex part of a robot geometry; a *body* is a set of geometries on one link that are checked
 against the same others; it is walked as one tree of balls. An *item* is an obstacle, or a box around a
-handful of neighbouring grains of a cloud.
+handful of neighbouring primitives of a cloud.
 """
 
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.clusters import Cloud, Clusters, cluster_grains
+from cvqmpt_lab.collision.clusters import Cloud, Clusters, cluster_primitives
 from cvqmpt_lab.collision.distance_grid import (
     CENTRE,
     COLUMNS,
     HALF,
+    INFLATION,
     REACH,
-    SWELLING,
     DistanceGrid,
     distance_grid,
 )
@@ -45,14 +45,14 @@ class RobotGeometry(NamedTuple):
 
 
 class SceneGeometry(NamedTuple):
-    """Obstacles and clusters of a cloud's grains, with their grid."""
+    """Obstacles and clusters of a cloud's primitives, with their grid."""
 
     shapes: ConvexShapes  # All items
     bounds: Annotated[np.ndarray, "items 16"]  # Oriented boxes around them, see `distance_grid`
     owner: Annotated[np.ndarray, "int64 items"]  # Obstacle of each item; clouds are counted after the shapes
-    grain_start: Annotated[np.ndarray, "int64 ranges"]
-    """Range of each item's grains; empty for a shape, which is solid."""
-    grains: Annotated[np.ndarray, "grains 6"]
+    primitive_start: Annotated[np.ndarray, "int64 ranges"]
+    """Range of each item's primitives; empty for a shape, which is solid."""
+    primitives: Annotated[np.ndarray, "primitives 6"]
     """Boxes in the frames of their items: centres and half edges [m]."""
     grid: DistanceGrid  # Distances over the robot's reach
     reach: float  # Largest ball whose neighbours the grid lists [m]
@@ -144,15 +144,15 @@ def _bodies(
 
 def _cut(spec: ShapeSpec, largest_radius: float, most_pieces: int, pieces: list[ShapeSpec]) -> list[Piece]:
     """Append the pieces of one geometry; return them as leaves. Only polytopes are really cut."""
-    points, swelling = outline(spec)
-    parts = [points] if swelling > 0.0 else cut_into_pieces(points, largest_radius, most_pieces)
+    points, inflation = outline(spec)
+    parts = [points] if inflation > 0.0 else cut_into_pieces(points, largest_radius, most_pieces)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
         pieces.append(spec)
-        return [Piece(part, swelling, len(pieces) - 1) for part in parts]
+        return [Piece(part, inflation, len(pieces) - 1) for part in parts]
     leaves = []
     for part in parts:
         pieces.append(ShapeSpec(HULL, (), part, np.eye(4)))
-        leaves.append(Piece(part, swelling, len(pieces) - 1))
+        leaves.append(Piece(part, inflation, len(pieces) - 1))
     return leaves
 
 
@@ -170,7 +170,7 @@ def scene_geometry(
     Raises InvalidInputError for poses, vertices or points that are not finite, and for empty meshes.
     """
     solid = pack_shapes(specs)
-    clusters = cluster_grains(clouds, cell)
+    clusters = cluster_primitives(clouds, cell)
     shapes = _with_boxes(solid, clusters)
     turn, count = clusters.rotation.reshape(-1, 9), len(specs)
     boxes = np.column_stack([turn, clusters.centre, clusters.half, clusters.radius])
@@ -179,15 +179,15 @@ def scene_geometry(
         shapes=shapes,
         bounds=bounds,
         owner=np.concatenate([np.arange(count), count + clusters.cloud]).astype(np.int64),
-        grain_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
-        grains=clusters.grains,
+        primitive_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
+        primitives=clusters.primitives,
         grid=distance_grid(bounds, lower, upper, cell, reach),
         reach=float(reach),
     )
 
 
 def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
-    """Oriented boxes (n, COLUMNS) around shapes, swelled by a radius; exact for boxes and spheres."""
+    """Oriented boxes (n, COLUMNS) around shapes, inflated by a radius; exact for boxes and spheres."""
     rows = np.zeros((len(specs), COLUMNS))
     for row, spec in zip(rows, specs, strict=True):
         R, middle, half = spec.T_owner_shape[:3, :3], np.zeros(3), np.zeros(3)
@@ -199,9 +199,9 @@ def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
         elif spec.kind == BOX:
             half = 0.5 * np.array(spec.size)
         else:
-            row[SWELLING] = spec.size[0]
+            row[INFLATION] = spec.size[0]
         row[:CENTRE], row[CENTRE:HALF] = R.ravel(), R @ middle + spec.T_owner_shape[:3, 3]
-        row[HALF:SWELLING] = half
+        row[HALF:INFLATION] = half
     return rows
 
 

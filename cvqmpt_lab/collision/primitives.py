@@ -25,7 +25,7 @@ class ShapeSpec(NamedTuple):
 
 
 def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
-    """Return points (k, 3) and a swelling [m], so that the swelled hull of the points holds the shape.
+    """Return points (k, 3) and an inflation radius [m], so that the inflated hull of the points holds the shape.
 
     The points are in the frame of the owner, a link or the world.
     """
@@ -42,8 +42,8 @@ def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
         points = np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
     else:
         points = np.zeros((1, 3))
-    swelling = spec.size[0] if spec.kind == SPHERE else 0.0
-    return points @ spec.T_owner_shape[:3, :3].T + spec.T_owner_shape[:3, 3], swelling
+    inflation = spec.size[0] if spec.kind == SPHERE else 0.0
+    return points @ spec.T_owner_shape[:3, :3].T + spec.T_owner_shape[:3, 3], inflation
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:

@@ -135,7 +135,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 class ConvexShapes(NamedTuple):
     """Convex shapes as a struct of arrays; a numba argument.
 
-    Every shape is a core (below) swelled by ``radius``, so that a sphere is a swelled point.
+    Every shape is a core (below) inflated by ``radius``, so that a sphere is an inflated point.
     Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's frame.
     """
 
@@ -143,7 +143,7 @@ class ConvexShapes(NamedTuple):
     size: Annotated[np.ndarray, "shapes 3"]
     """Half sizes of a box; (radius, radius, half length) of a cylinder; largest absolute
     coordinates of a hull; zeros for a sphere [m]."""
-    radius: Annotated[np.ndarray, "shapes"]  # Swelling of the core [m]; for a sphere its radius
+    radius: Annotated[np.ndarray, "shapes"]  # Inflation of the core [m]; for a sphere its radius
     rotation: Annotated[np.ndarray, "shapes 3 3"]  # Orientation of the core in its owner's frame
     translation: Annotated[np.ndarray, "shapes 3"]  # Position of the core in its owner's frame [m]
     vertex_start: Annotated[np.ndarray, "int64 shapes"]  # First column of ``vertices``
@@ -269,7 +269,7 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     above, below, tolerance : float
         Stopping rule [m].
     """
-    swelling = a.radius[i] + b.radius[j]
+    inflation = a.radius[i] + b.radius[j]
     sa, na, sb, nb = a.vertex_start[i], a.vertex_count[i], b.vertex_start[j], b.vertex_count[j]
     va, vb = a.vertices, b.vertices
     pose_b = pose if b.kind[j] == HULL else compose(b.rotation[j], b.translation[j], pose)
@@ -288,11 +288,11 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
         vb[2, sb : sb + nb],
         pose_b,
         axis,
-        above + swelling,
-        below + swelling,
+        above + inflation,
+        below + inflation,
         tolerance,
     )
-    return gap - swelling
+    return gap - inflation
 
 
 @kernel(inline="machine")
@@ -309,12 +309,12 @@ def distance(a, i, b, j, pose, axis, tolerance):
 
 @kernel(inline="machine")
 def box_separated(a, i, half, radius, pose, axis, margin):
-    """Return whether a slab wider than margin [m] separates shape i of a from a swelled box.
+    """Return whether a slab wider than margin [m] separates shape i of a from an inflated box.
 
-    half, radius: half edges (3 floats) and swelling of the box [m]; of a ball the edges are zero.
+    half, radius: half edges (3 floats) and inflation of the box [m]; of a ball the edges are zero.
     pose: of the box in the frame of a's owner (12-tuple).
     """
-    swelling = a.radius[i] + radius
+    inflation = a.radius[i] + radius
     start, count = a.vertex_start[i], a.vertex_count[i]
     x, y, z = (
         a.vertices[0, start : start + count],
@@ -323,6 +323,6 @@ def box_separated(a, i, half, radius, pose, axis, margin):
     )
     size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
     pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
-    limit = margin + swelling
+    limit = margin + inflation
     gap = _gjk(a.kind[i], size, x, y, z, pose_a, np.int64(BOX), half, x, y, z, pose, axis, limit, limit, 1e-9)
     return gap > limit

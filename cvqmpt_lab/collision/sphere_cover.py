@@ -22,8 +22,8 @@ SLACK = 1e-8  # [m] added to every ball: more than FLAT and the rounding of its 
 class Piece(NamedTuple):
     """One leaf of a sphere tree."""
 
-    points: np.ndarray  # (k, 3), whose hull, swelled, holds the piece [m]
-    swelling: float  # [m]
+    points: np.ndarray  # (k, 3), whose hull, inflated, holds the piece [m]
+    inflation: float  # [m]
     number: int  # The caller's number for it
 
 
@@ -132,7 +132,7 @@ def _halves(hull: Hull) -> tuple[Hull, Hull]:
 
 
 def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
-    """Return a tree of balls over pieces; every ball contains the swelled pieces below it."""
+    """Return a tree of balls over pieces; every ball contains the inflated pieces below it."""
     spheres: list[np.ndarray] = []
     skips: list[int] = []
     leaves: list[int] = []
@@ -140,7 +140,7 @@ def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
     def visit(group: Sequence[Piece]) -> None:
         node = len(spheres)
         centre, _ = enclosing_sphere(np.concatenate([piece.points for piece in group]))
-        radius = max(np.linalg.norm(p.points - centre, axis=1).max() + p.swelling for p in group)
+        radius = max(np.linalg.norm(p.points - centre, axis=1).max() + p.inflation for p in group)
         spheres.append(np.append(centre, radius + SLACK))
         leaves.append(group[0].number if len(group) == 1 else -1)
         skips.append(0)

@@ -113,18 +113,18 @@ def test_balls_and_pieces_cover_the_shape(kind):
     rng = np.random.default_rng(kind)
     for _ in range(3):
         spec = random_spec(rng, kind, longest=0.5)
-        points, swelling = outline(spec)
-        parts = cut_into_pieces(points) if swelling == 0.0 else [points]
-        tree = sphere_tree([Piece(part, swelling, i) for i, part in enumerate(parts)])
+        points, inflation = outline(spec)
+        parts = cut_into_pieces(points) if inflation == 0.0 else [points]
+        tree = sphere_tree([Piece(part, inflation, i) for i, part in enumerate(parts)])
         leaves = tree.sphere[tree.leaf >= 0]
         assert sorted(tree.leaf[tree.leaf >= 0]) == list(range(len(parts)))
-        assert swelling > 0.0 or leaves[:, 3].max() <= ANY_RADIUS + 1e-6
+        assert inflation > 0.0 or leaves[:, 3].max() <= ANY_RADIUS + 1e-6
         samples = inside_hull(rng, points, 2000)
         direction = rng.normal(size=samples.shape)
-        samples = samples + swelling * direction / np.linalg.norm(direction, axis=1)[:, None]
+        samples = samples + inflation * direction / np.linalg.norm(direction, axis=1)[:, None]
         apart = np.linalg.norm(samples[:, None] - leaves[None, :, :3], axis=2) - leaves[None, :, 3]
         assert apart.min(axis=1).max() <= 0.0
-        if swelling == 0.0:
+        if inflation == 0.0:
             in_piece = [
                 np.max(ConvexHull(part).equations @ np.c_[samples, np.ones(2000)].T, axis=0) for part in parts
             ]
@@ -133,7 +133,7 @@ def test_balls_and_pieces_cover_the_shape(kind):
             assert node < skip <= len(tree.skip)
             below = [parts[k] for k in tree.leaf[node:skip] if k >= 0]
             assert (
-                np.linalg.norm(np.concatenate(below) - sphere[:3], axis=1).max() + swelling
+                np.linalg.norm(np.concatenate(below) - sphere[:3], axis=1).max() + inflation
                 <= sphere[3] + 1e-12
             )
 
