@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
-from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.search.result import Budget, PlanStatus
 from experiments.suites.place_task import place_problem
 
 DATA = Path(__file__).parent / "data"
@@ -228,15 +226,3 @@ def test_goals_are_sampled_from_a_goal_region(problem):
     np.testing.assert_array_equal(sampled.goals, with_sampled_goals(only_region)[0].goals)
     check_problem(sampled)
     assert with_sampled_goals(sampled) == (sampled, 0.0)
-
-
-def test_an_unreachable_goal_region_is_a_result(problem):
-    far = replace(problem.goal_region, T0_w=pose((5.0, 0.0, 0.0)))
-    solution = solve(
-        replace(problem, goals=np.empty((0, 7)), goal_region=far),
-        planner_named("birrt"),
-        Budget(iterations=10),
-        seed=0,
-    )
-    assert solution.plan.status is PlanStatus.NO_GOAL and not solution.solved
-    assert solution.plan.detail == "no goal: of 100 poses, 100 without inverse kinematics, 0 in collision"

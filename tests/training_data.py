@@ -14,19 +14,19 @@ UPPER = [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]
 def kinematics():
     """The Panda's chain (Craig parameters a, d, alpha), its joint origins and a point on the hand."""
     parameters = [
-        (0.0, 0.333, 0.0),
-        (0.0, 0.0, -1),
-        (0.0, 0.316, 1),
-        (0.0825, 0.0, 1),
+        (0, 0.333, 0),
+        (0, 0, -1),
+        (0, 0.316, 1),
+        (0.0825, 0, 1),
         (-0.0825, 0.384, -1),
-        (0.0, 0.0, 1),
-        (0.088, 0.0, 1),
+        (0, 0, 1),
+        (0.088, 0, 1),
     ]
     rotation, translation = [], []
     for a, d, quarter in parameters:
-        c, s = (1.0, 0.0) if quarter == 0.0 else (0.0, float(quarter))
+        c, s = (0.0, float(quarter)) if quarter else (1.0, 0.0)
         rotation.append([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        translation.append([a, -s * d, c * d])
+        translation.append([float(a), -s * d, c * d])
     points, offsets = [3, 4, 6, 6], [[0.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.21]]
     return {"rotation": rotation, "translation": translation, "points": points, "offsets": offsets}
 

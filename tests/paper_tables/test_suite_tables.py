@@ -26,9 +26,6 @@ def said(table, title="What the paper says"):
     return {(line[0], line[1]): line for line in table.sections[title][1:]}
 
 
-# ---------------------------------------------------------------- tasks by phase
-
-
 def phases(planner, task, planning, execution, solved=True, **values):
     """Rows of one task whose times are known."""
     rows = []
@@ -69,9 +66,6 @@ def test_a_verdict_needs_tasks_that_both_solved():
     assert len(verdicts) == 2 and all(line[-1].startswith("not judged") for line in verdicts)
 
 
-# ---------------------------------------------------------------- kinds of constraints
-
-
 def test_ratios_are_taken_within_a_kind_and_over_all():
     rows = [a_failure("48/1-upright", "roadmap-cvq", suite="constraints")]
     for kind, name, less in ((0, "upright", 2), (2, "plane", 4)):
@@ -88,9 +82,6 @@ def test_ratios_are_taken_within_a_kind_and_over_all():
     assert ours["solved_under_upright", "roadmap-cvq"] == pytest.approx(600 / 7)
     assert table.size == "13 problems, 2 kinds"
     assert table.sections["Failures"][1:] == [["roadmap-cvq", "upright: timeout", "–", "1 of 13"]]
-
-
-# ---------------------------------------------------------------- scanned scenes
 
 
 def scanned(planner, scene, time, length, true_free=True):

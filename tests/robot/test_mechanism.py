@@ -201,16 +201,6 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     assert not ConstrainedSpace(problem).valid(grasp)
 
 
-def test_a_problem_comes_back_from_its_file(tmp_path):
-    problem = door_problem(0)
-    problem.save(tmp_path / "door.json")
-    again = PlanningProblem.load(tmp_path / "door.json")
-    assert again.to_dict() == problem.to_dict() and again.robot.joint_names == problem.robot.joint_names
-    assert again.constraint[0].base == BAR and again.scene == problem.scene
-    q = problem.start + 0.05
-    np.testing.assert_array_equal(again.manifold.residual(q), problem.manifold.residual(q))
-
-
 def test_what_is_no_door_or_an_angle_outside_its_range_is_refused(grasp):
     with pytest.raises(UnknownChoiceError, match=r"'fridge'.*dagger_door_left"):
         take_out(kitchen(), "fridge")

@@ -3,14 +3,13 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
@@ -58,21 +57,6 @@ def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backe
     assert np.ptp(solution.simplified.path.states[:, 0]) > 0.1, "the slider took part"
 
 
-@pytest.mark.parametrize("name", ["birrt", "ompl-projected", "atlas-rrt", "tb-rrt"])
-def test_a_start_on_the_rim_of_its_region_is_as_good_as_any(slider_problem, name):
-    """Projection from outside stops at the bound, which planners move inwards."""
-    region = slider_problem.constraint[0]
-    robot = slider_problem.robot
-    start = RegionConstraint(robot, (region,)).project(np.array([-0.4, 1.3, 0.6, -1.6]))
-    rim = np.abs(robot.pose(start)[2, 3] - region.T0_w[2, 3])
-    assert rim == pytest.approx(region.Bw[2, 1], abs=TOLERANCE)
-    problem = replace(slider_problem, scene=NOTHING, start=start)
-    assert solve(problem, planner_named(name), Budget(iterations=20_000), seed=0).solved
-
-
-# ---------------------------------------------------------------- nothing in the way, or everything
-
-
 @pytest.fixture
 def bulky_urdf(slider_arm_urdf, tmp_path):
     """The slider arm with a tool so large that it always overlaps the upper arm."""
@@ -103,8 +87,6 @@ def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, t
         check_problem(problem)
     assert not ConstrainedSpace(problem).valid(problem.start)
 
-
-# ---------------------------------------------------------------- no cache
 
 WITHOUT_CACHE = """
 import warnings

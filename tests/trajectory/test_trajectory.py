@@ -50,17 +50,11 @@ def motion(paths, limits):
     return time_path(paths[0], limits, FULL)
 
 
-# ---------------------------------------------------------------- as fast as can be
-
-
 @pytest.mark.parametrize(("distance", "expected"), [(0.5, 2.0 * np.sqrt(0.5 / 4.0)), (3.0, 3.0 / 2.0 + 0.5)])
 def test_a_straight_line_takes_the_time_of_a_trapezoid(distance, expected):
     """Joint 'first' alone: speeds up at 4, goes 2 at most."""
     line = np.array([[0.1, 0.3], [0.1 + distance, 0.3]])
     assert time_path(line, TWO_JOINTS, FULL).duration == pytest.approx(expected, rel=2e-3)
-
-
-# ---------------------------------------------------------------- within the limits, on the path
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.1, 0.01])
@@ -120,9 +114,6 @@ def test_a_path_that_turns_back_is_passed_without_a_stop():
     assert motion.positions[:, 0].max() == pytest.approx(1.0, abs=1e-2)
 
 
-# ---------------------------------------------------------------- trajectories
-
-
 def test_even_sampling_is_the_same_motion_which_rests_before_and_after(motion):
     even = motion.sampled(0.01)
     assert np.ptp(np.diff(even.times)) < 1e-9 and np.diff(even.times).max() <= 0.01 + 1e-12
@@ -136,9 +127,6 @@ def test_even_sampling_is_the_same_motion_which_rests_before_and_after(motion):
             wrong(np.nan)
 
 
-# ---------------------------------------------------------------- files
-
-
 def test_json_is_a_ros_message(motion, tmp_path):
     save_trajectory(motion, tmp_path / "motion.json")
     message = json.loads((tmp_path / "motion.json").read_text())
@@ -150,9 +138,6 @@ def test_json_is_a_ros_message(motion, tmp_path):
     np.testing.assert_allclose([s["sec"] + 1e-9 * s["nanosec"] for s in stamps], motion.times, atol=1e-9)
     for field in ("positions", "velocities", "accelerations"):
         assert np.array_equal([point[field] for point in message["points"]], getattr(motion, field))
-
-
-# ---------------------------------------------------------------- limits of robots
 
 
 def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(slider_arm_urdf):
@@ -187,9 +172,6 @@ def test_a_urdf_without_speeds_is_named_when_timing_asks(slider_arm_urdf, tmp_pa
     arm = load_robot(still, "tool", acceleration_limits=1.0)
     with pytest.raises(InvalidInputError, match=r"velocity limit 0\.0 of joint 'rail'"):
         _ = arm.joint_limits
-
-
-# ---------------------------------------------------------------- bad input
 
 
 PATH = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.1]])
@@ -235,9 +217,6 @@ def test_what_cannot_be_timed_names_joint_and_place():
             time_path(path, slow, FULL)
         waypoint = int(str(caught.value).partition("(waypoint ")[2].partition(")")[0])
         assert waypoint >= 12, "where it moves"
-
-
-# ---------------------------------------------------------------- command line
 
 
 def planned(capsys, *words):
