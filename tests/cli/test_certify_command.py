@@ -118,6 +118,7 @@ TAMPERED = {
     "a jump": (lambda p, s: np.delete(s, range(MIDDLE, MIDDLE + 12), axis=0), "step", MIDDLE - 1),
     "a state repeated later": (lambda p, s: np.insert(s, 52, s[MIDDLE], axis=0), "step", 52),
     "nan": (lambda p, s: changed(s, MIDDLE, np.nan), "shape", MIDDLE),
+    "infinity": (lambda p, s: changed(s, MIDDLE, np.inf), "shape", MIDDLE),
     "a start moved by 1e-5": (lambda p, s: changed(s, 0, 1e-5), "start", 0),
     "reversed": (lambda p, s: s[::-1], "start", 0),
     "cut short": (lambda p, s: s[:-5], "goal", -1),
@@ -204,6 +205,7 @@ def test_the_report_says_where_a_path_leaves_the_manifold(tmp_path, states, caps
         ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
         ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
         ("a.json", '{"points": 7}', "not understood"),
+        ("a.json", "[" * 100_000, "not understood"),
         ("a.txt", "", "'.txt'"),
     ],
 )

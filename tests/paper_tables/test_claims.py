@@ -5,12 +5,14 @@ import re
 import pytest
 from made_rows import a_results_folder
 
+from cvqmpt_lab.errors import InvalidInputError
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import (
     committed_pages,
     page_text,
     stale_pages,
     summary_lines,
+    with_summary,
 )
 
 FASTER, SHORTER, SOLVES, PLANNING, *_, COMPLETE = range(9)
@@ -50,3 +52,5 @@ def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
     assert "`cvqmpt x`: wall-clock 5 min" in page and "(place-task/runs.csv)" in page
     assert "| new-one " in page, "a planner that nobody has listed stands among the others"
     assert len(summary_lines(judged_claims(found))) == 1 + 9
+    with pytest.raises(InvalidInputError, match="put them where"):
+        with_summary("a README without the marks of the summary", page)

@@ -215,6 +215,15 @@ def test_a_mesh_without_volume_or_of_absurd_size_ends_in_one_line_not_in_the_pro
     assert "m.stl" in done.stdout and pattern.replace(".", "+") in done.stdout.replace(".", "+")
 
 
+def test_a_mesh_that_the_hull_library_refuses_is_named(edited, refused, tmp_path):
+    """A cone of 300 sides: the library stores at most 255 neighbours of its tip."""
+    rim = np.array([(np.cos(angle), np.sin(angle), 0.0) for angle in np.linspace(0.0, 2.0 * np.pi, 301)])
+    sides = ((rim[k], rim[k + 1], (0.0, 0.0, 1.0)) for k in range(300))
+    (tmp_path / "cone.stl").write_bytes(binary_stl(*sides))
+    urdf = edited((SPHERE, '<mesh filename="cone.stl"/>'))
+    refused(InvalidInputError, r"cone\.stl has no convex hull", load_robot, urdf, "tool")
+
+
 @pytest.fixture
 def packaged(edited, tmp_path):
     """A URDF whose mesh lies in a package elsewhere, and that package's folder."""
