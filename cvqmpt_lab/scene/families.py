@@ -5,7 +5,7 @@ kitchen of the tasks, with its published dimensions, is never among these.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from numbers import Integral
 from typing import NamedTuple
@@ -31,10 +31,6 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
     The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, whose stream is frozen, so environment n is the same
     everywhere. Order of the draws: cube distances, elevations, azimuths, yaws; sphere distances, elevations, azimuths.
     The older 6-joint data used 6 cubes and 6 spheres.
-
-    Raises
-    ------
-    InvalidInputError: a number is negative or no integer.
     """
     for what, value in (("seed", seed), ("n_cubes", n_cubes), ("n_spheres", n_spheres)):
         if not isinstance(value, Integral) or isinstance(value, bool) or not 0 <= value < 2**32:
@@ -43,15 +39,13 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
     cube_centres = _scattered(rng, n_cubes, CUBE_LIFT)
     yaws = rng.uniform(0.0, 2.0 * math.pi, n_cubes)
     sphere_centres = _scattered(rng, n_spheres, SPHERE_LIFT)
-    cubes = [
+    objects = [
         SceneObject(f"cube_{i}", Box((CUBE_EDGE,) * 3), pose(centre, yaw))
         for i, (centre, yaw) in enumerate(zip(cube_centres, yaws, strict=True))
     ]
-    spheres = [
-        SceneObject(f"sphere_{i}", Sphere(SPHERE_RADIUS), pose(centre))
-        for i, centre in enumerate(sphere_centres)
-    ]
-    return Scene(f"random_{seed:06d}", (*cubes, *spheres))
+    for i, centre in enumerate(sphere_centres):
+        objects.append(SceneObject(f"sphere_{i}", Sphere(SPHERE_RADIUS), pose(centre)))
+    return Scene(f"random_{seed:06d}", tuple(objects))
 
 
 def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArray:
@@ -59,11 +53,8 @@ def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArra
     distance = rng.uniform(0.4, 1.2, count)
     elevation = rng.uniform(-0.25 * math.pi, 0.5 * math.pi, count)
     azimuth = rng.uniform(0.0, 2.0 * math.pi, count)
-    horizontal = distance * np.cos(elevation)
-    return np.stack(
-        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), distance * np.sin(elevation) + lift],
-        axis=1,
-    )
+    across, up = distance * np.cos(elevation), distance * np.sin(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up + lift], axis=1)
 
 
 BOARD = 0.02  # [m] thickness of boards and walls
@@ -81,17 +72,28 @@ def family_scene(family: str, number: int) -> Scene:
 def _table(number: int) -> Scene:
     """A table in front of the robot with boxes, cylinders and balls on it."""
     rng = np.random.default_rng([1, number])
-    depth, width, top = rng.uniform(0.4, 0.8), rng.uniform(0.8, 1.6), rng.uniform(-0.1, 0.45)
-    x, yaw = rng.uniform(0.3, 0.5) + depth / 2, rng.uniform(-0.6, 0.6)
-    T = pose((0.0, 0.0, 0.0), yaw)
-    objects = [SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))]
-    for i in range(rng.integers(3, 10)):
+    size = rng.uniform(0.4, 0.8), rng.uniform(0.8, 1.6), rng.uniform(-0.1, 0.45)
+    near, yaw = rng.uniform(0.3, 0.5), rng.uniform(-0.6, 0.6)
+    return Scene(f"table_{number}", tuple(_laid_table(rng, size, near, yaw, (3, 10), _clutter)))
+
+
+def _laid_table(
+    rng: np.random.Generator,
+    size: tuple[float, float, float],
+    near: float,
+    yaw: float,
+    counts: tuple[int, int],
+    thing: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
+) -> Iterator[SceneObject]:
+    """A table top of a depth, width and height [m], `near` [m] away at an angle `yaw` [rad], and things on it."""
+    depth, width, top = size
+    x, T = near + depth / 2, pose((0.0, 0.0, 0.0), yaw)
+    yield SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))
+    for i in range(rng.integers(*counts)):
         place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
-        shape, height = _clutter(rng)
-        objects.append(
-            SceneObject(f"item_{i}", shape, T @ pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi)))
-        )
-    return Scene(f"table_{number}", tuple(objects))
+        shape, height = thing(rng)
+        stands = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
+        yield SceneObject(f"item_{i}", shape, T @ stands)
 
 
 def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
@@ -108,17 +110,15 @@ def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
 def _cluttered_table(number: int) -> Scene:
     """A table reached from its side, at elbow height, crowded with slim things as tall as a forearm."""
     rng = np.random.default_rng([4, number])
-    depth, width, top = rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.45)
-    x = rng.uniform(0.25, 0.4) + depth / 2
-    T = pose((0.0, 0.0, 0.0), rng.uniform(-np.pi, np.pi))
-    objects = [SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))]
-    for i in range(rng.integers(8, 19)):
-        place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
-        radius, height = rng.uniform(0.02, 0.06), rng.uniform(0.15, 0.5)
-        shape = Cylinder(radius, height) if rng.random() < 0.5 else Box((2 * radius, 2 * radius, height))
-        stands = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
-        objects.append(SceneObject(f"item_{i}", shape, T @ stands))
-    return Scene(f"cluttered_table_{number}", tuple(objects))
+    size = rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.45)
+    near, yaw = rng.uniform(0.25, 0.4), rng.uniform(-np.pi, np.pi)
+    return Scene(f"cluttered_table_{number}", tuple(_laid_table(rng, size, near, yaw, (8, 19), _slim)))
+
+
+def _slim(rng: np.random.Generator) -> tuple[Box | Cylinder, float]:
+    """A slim thing, and its height [m]."""
+    radius, height = rng.uniform(0.02, 0.06), rng.uniform(0.15, 0.5)
+    return Cylinder(radius, height) if rng.random() < 0.5 else Box((2 * radius, 2 * radius, height)), height
 
 
 def _cage(number: int) -> Scene:
@@ -129,15 +129,10 @@ def _cage(number: int) -> Scene:
     count = int(2.0 * np.pi * ring / rng.uniform(0.22, 0.4))
     angles = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     angles += rng.uniform(-0.3, 0.3, count) * 2.0 * np.pi / count
-    middle = (low + high) / 2
-    objects = [
-        SceneObject(
-            f"bar_{i}",
-            Cylinder(radius, high - low),
-            pose((ring * np.cos(angle), ring * np.sin(angle), middle)),
-        )
-        for i, angle in enumerate(angles)
-    ]
+    objects = []
+    for i, angle in enumerate(angles):
+        T = pose((ring * np.cos(angle), ring * np.sin(angle), (low + high) / 2))
+        objects.append(SceneObject(f"bar_{i}", Cylinder(radius, high - low), T))
     side = 2.0 * np.pi * ring / 12
     for hoop, level in enumerate(rng.uniform(low, high, rng.integers(1, 3))):
         for part in range(12):
@@ -205,10 +200,8 @@ def _random_kitchen(number: int) -> Scene:
     names = [f.name for f in fields(published) if not f.name.startswith(FIXED)]
     while True:
         changed = rng.choice(names, size=len(names) // 2, replace=False)
-        values = {
-            name: getattr(published, name) * (1.0 + rng.uniform(-DIMENSION_SPREAD, DIMENSION_SPREAD))
-            for name in changed
-        }
+        factors = {name: 1.0 + rng.uniform(-DIMENSION_SPREAD, DIMENSION_SPREAD) for name in changed}
+        values = {name: getattr(published, name) * factor for name, factor in factors.items()}
         try:
             scene = kitchen(replace(published, **values))
         except InvalidInputError:  # pieces do not fit each other

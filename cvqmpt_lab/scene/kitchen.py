@@ -7,7 +7,7 @@ ones of that kitchen: dagger and indigo are right of the range, above and below 
 and hitman are left of it. Cabinets are hollow and have no back panel: the back wall closes them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from cvqmpt_lab.scene.kitchen_parameters import WALL_CELLS, KitchenParameters
 from cvqmpt_lab.scene.objects import (
@@ -37,19 +37,15 @@ def kitchen(
 
     parameters: dimensions; None: the published kitchen.
     door_angles: values of articulations by name, hinges [rad], drawers [m]; all others are closed (0).
-
-    Raises
-    ------
-    UnknownChoiceError, InvalidInputError: no such articulation; a value outside its range.
     """
     p = KitchenParameters() if parameters is None else parameters
     parts = [
-        Assembly([*_room(p), *_range(p), *_hood(p)]),
-        Assembly(_wall_cabinets("sektion", p.left_y, p.sektion_bottom_z, p)),
+        Assembly([*_room(p), *_range(p)]),
+        Assembly(_wall_cabinets("sektion", p)),
         _wall_door("baker_door", "sektion", 2, -1, p),
         _wall_door("chewie_door_right", "sektion", 0, -1, p),
         _wall_door("chewie_door_left", "sektion", 1, +1, p),
-        Assembly(_wall_cabinets("dagger", p.right_y, p.dagger_bottom_z, p)),
+        Assembly(_wall_cabinets("dagger", p)),
         _wall_door("dagger_door_left", "dagger", 1, +1, p),
         _wall_door("dagger_door_right", "dagger", 0, -1, p),
         Assembly(_base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)),
@@ -85,7 +81,7 @@ def _room(p: KitchenParameters) -> list[SceneObject]:
 
 
 def _range(p: KitchenParameters) -> list[SceneObject]:
-    """Return the range's block, control panel, four stove plates and four knobs."""
+    """Return the range's block, control panel, four stove plates and four knobs, and the extractor hood."""
     back_x = p.back_wall_x - p.range_wall_gap
     front_x, top_z, half = back_x - p.range_depth, p.range_top_z, 0.5 * p.range_width
     y = (p.range_y - half, p.range_y + half)
@@ -107,18 +103,19 @@ def _range(p: KitchenParameters) -> list[SceneObject]:
         for which, inset in knobs.items():
             centre = (knob_x, p.range_y + sign * (half - inset), knob_z)
             pieces.append(cylinder(f"range/knob_{which}_{side}", p.knob_radius, p.knob_height, centre))
-    return pieces
+    hood_x = p.back_wall_x + p.hood_into_wall
+    hood_z = (p.hood_bottom_z, p.hood_bottom_z + p.hood_height)
+    return [*pieces, box("extractor_hood", (hood_x - p.hood_depth, hood_x), y, hood_z)]
 
 
-def _hood(p: KitchenParameters) -> list[SceneObject]:
-    """Return the extractor hood above the range."""
-    back_x, half = p.back_wall_x + p.hood_into_wall, 0.5 * p.range_width
-    x, y = (back_x - p.hood_depth, back_x), (p.range_y - half, p.range_y + half)
-    return [box("extractor_hood", x, y, (p.hood_bottom_z, p.hood_bottom_z + p.hood_height))]
+def _row_corner(row: str, p: KitchenParameters) -> Span:
+    """Right end (y) and bottom (z) of a row of wall cabinets."""
+    return (p.right_y, p.dagger_bottom_z) if row == "dagger" else (p.left_y, p.sektion_bottom_z)
 
 
-def _wall_cabinets(row: str, right_y: float, bottom_z: float, p: KitchenParameters) -> list[SceneObject]:
+def _wall_cabinets(row: str, p: KitchenParameters) -> list[SceneObject]:
     """Return the boards of a row of wall cabinets: bottom, top and two sides for each cell."""
+    right_y, bottom_z = _row_corner(row, p)
     board, width = p.board_thickness, p.cabinet_width
     x = (p.cabinet_back_x - p.wall_cabinet_depth, p.cabinet_back_x)
     z = (bottom_z, bottom_z + p.wall_cabinet_height)
@@ -138,10 +135,7 @@ def _wall_cabinets(row: str, right_y: float, bottom_z: float, p: KitchenParamete
 
 def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParameters) -> Assembly:
     """Return the door of one wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
-    row_y, bottom_z = {
-        "dagger": (p.right_y, p.dagger_bottom_z),
-        "sektion": (p.left_y, p.sektion_bottom_z),
-    }[row]
+    row_y, bottom_z = _row_corner(row, p)
     cell_y, back_x = row_y + cell * p.cabinet_width, p.cabinet_back_x - p.wall_cabinet_depth
     y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
     z = shrunk((bottom_z, bottom_z + p.wall_cabinet_height), 0.5 * p.door_gap)
@@ -184,33 +178,22 @@ def _base_cabinet(name: str, right_y: float, counter_y: Span, p: KitchenParamete
     ]
 
 
-def _drawers(cabinet: str, p: KitchenParameters) -> list[Assembly]:
-    """Return the two drawers of a cabinet: hitman's fill it and have trays, indigo's are low, above its doors."""
-    parts, top_z, hitman = [], p.base_front_top_z, cabinet == "hitman"
+def _drawers(cabinet: str, p: KitchenParameters) -> Iterator[Assembly]:
+    """Yield the two drawers of a cabinet: hitman's fill it and have trays, indigo's are low, above its doors."""
+    top_z, height = p.base_front_top_z, p.indigo_front_height
+    if cabinet == "hitman":
+        height = p.hitman_front_height
     for place in ("top", "bottom"):
-        z = (top_z - (p.hitman_front_height if hitman else p.indigo_front_height), top_z)
-        middle_z = 0.5 * sum(z)
-        drawer_z = z[0] + p.hitman_drawer_lift if hitman else middle_z - 0.5 * p.drawer_height
-        handle_z = z[1] - p.hitman_handle_drop if hitman else middle_z
-        name, y = f"{cabinet}_drawer_{place}", p.left_y if hitman else p.right_y
-        parts.append(_drawer(name, y, z, drawer_z, handle_z, hitman, p))
-        top_z = z[0] - p.stacked_front_gap
-    return parts
+        yield _drawer(cabinet, f"{cabinet}_drawer_{place}", (top_z - height, top_z), p)
+        top_z = top_z - height - p.stacked_front_gap
 
 
-def _drawer(
-    name: str,
-    cabinet_y: float,
-    front_z: Span,
-    drawer_z: float,
-    handle_z: float,
-    tray: bool,
-    p: KitchenParameters,
-) -> Assembly:
-    """Return a drawer: front panel, handle, two sides, back, bottom and perhaps a tray.
-
-    `cabinet_y` is the right side of its cabinet, `drawer_z` the lower edge of the drawer's box.
-    """
+def _drawer(cabinet: str, name: str, front_z: Span, p: KitchenParameters) -> Assembly:
+    """Return a drawer: front panel, handle, two sides, back, bottom and hitman's tray."""
+    middle_z, tray = 0.5 * sum(front_z), cabinet == "hitman"
+    cabinet_y = p.left_y if tray else p.right_y
+    drawer_z = front_z[0] + p.hitman_drawer_lift if tray else middle_z - 0.5 * p.drawer_height
+    handle_z = front_z[1] - p.hitman_handle_drop if tray else middle_z
     front_y = shrunk((cabinet_y, cabinet_y + p.base_width), 0.5 * p.door_gap)
     y = shrunk((cabinet_y, cabinet_y + p.base_width), p.board_thickness + p.drawer_side_gap)
     front_x = (p.base_face_x, p.base_face_x + p.door_thickness)
@@ -228,5 +211,5 @@ def _drawer(
     if tray:
         tray_z = z[0] + p.tray_lift
         objects.append(box(f"{name}/tray", x, y, (tray_z, tray_z + p.tray_thickness)))
-    T_world_joint = oriented("-x", (front_x[0], 0.5 * sum(y), 0.5 * sum(front_z)))
+    T_world_joint = oriented("-x", (front_x[0], 0.5 * sum(y), middle_z))
     return articulated(name, "slider", T_world_joint, (0.0, p.drawer_travel), objects)
