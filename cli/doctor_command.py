@@ -4,9 +4,9 @@ import argparse
 import os
 import platform
 import textwrap
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from importlib import metadata
+from typing import NamedTuple
 
 from packaging.requirements import Requirement
 
@@ -19,28 +19,13 @@ EXAMPLES = ("cvqmpt doctor",)
 PROJECT = "cvqmpt-lab"
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """One thing that was looked at."""
 
     what: str
     says: str
-    cure: str = ""
-    """How to mend it; empty when it is fine."""
-    needed: bool = True
-    """Whether planning fails without it."""
-
-    def lines(self) -> str:
-        """As a person reads it."""
-        state = "ok" if not self.cure else "BROKEN" if self.needed else "without"
-        text = f"{self.says}; {self.cure}" if self.cure else self.says
-        return textwrap.fill(
-            text,
-            100,
-            initial_indent=f"{state:8} {self.what:10} ",
-            subsequent_indent=" " * 20,
-            break_long_words=False,
-        )
+    cure: str = ""  # how to mend it; empty when it is fine
+    needed: bool = True  # whether planning fails without it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,11 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look at everything; exit code 1 when something that planning needs is broken."""
-    broken = False
-    for finding in (*_machine(), *_packages(), *_weights(), _kernels(), _display()):
-        print(finding.lines())
-        broken |= bool(finding.cure) and finding.needed
-    return 1 if broken else 0
+    found = [*_machine(), *_packages(), *_weights(), _kernels(), _display()]
+    for what, says, cure, needed in found:
+        state = "ok" if not cure else "BROKEN" if needed else "without"
+        head, text = f"{state:8} {what:10} ", f"{says}; {cure}" if cure else says
+        print(textwrap.fill(head + text, 100, subsequent_indent=" " * 20, break_long_words=False))
+    return 1 if any(item.cure and item.needed for item in found) else 0
 
 
 def _machine() -> Iterator[Finding]:
@@ -69,39 +55,29 @@ def _packages() -> Iterator[Finding]:
     except metadata.PackageNotFoundError:
         yield Finding("packages", f"{PROJECT} itself is not installed", "pip install -e . in its folder")
         return
-    extras = sorted(metadata.metadata(PROJECT).get_all("Provides-Extra") or ())
-    for extra in ("", *extras):
-        asked = [item for item in declared if _asks_for(item, extra)]
-        unfit = [str(item).partition(";")[0].strip() for item in asked if not _fits(item)]
-        versions = ", ".join(f"{item.name} {_version(item.name)}" for item in asked)
-        cure = (
-            f"pip install {' '.join(map(repr, unfit))}" if not extra else f"pip install '{PROJECT}[{extra}]'"
-        )
-        yield Finding(
-            f"[{extra}]" if extra else "packages", versions, cure if unfit else "", needed=not extra
-        )
+    always = [item for item in declared if item.marker is None or item.marker.evaluate({"extra": ""})]
+    yield _finding("packages", always)
+    for extra in sorted(metadata.metadata(PROJECT).get_all("Provides-Extra") or ()):
+        more = [
+            item for item in declared if item.marker is not None and item.marker.evaluate({"extra": extra})
+        ]
+        yield _finding(extra, [item for item in more if item not in always], extra=True)
 
 
-def _asks_for(item: Requirement, extra: str) -> bool:
-    """Whether a requirement is of an extra, or, without one, of the package itself."""
-    alone = item.marker is None or item.marker.evaluate({"extra": ""})
-    return (
-        alone
-        if not extra
-        else not alone and item.marker is not None and item.marker.evaluate({"extra": extra})
-    )
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "MISSING"
-
-
-def _fits(item: Requirement) -> bool:
-    version = _version(item.name)
-    return version != "MISSING" and item.specifier.contains(version, prereleases=True)
+def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Finding:
+    """What of the packages that are asked for is there, and how to get the rest."""
+    versions, unfit = [], []
+    for item in asked:
+        try:
+            version = metadata.version(item.name)
+        except metadata.PackageNotFoundError:
+            version = "MISSING"
+        versions.append(f"{item.name} {version}")
+        if version == "MISSING" or not item.specifier.contains(version, prereleases=True):
+            unfit.append(repr(str(item).partition(";")[0].strip()))
+    wanted = f"'{PROJECT}[{name}]'" if extra else " ".join(unfit)
+    cure = f"pip install {wanted}" if unfit else ""
+    return Finding(f"[{name}]" if extra else name, ", ".join(versions), cure, needed=not extra)
 
 
 def _weights() -> Iterator[Finding]:
@@ -119,13 +95,11 @@ def _kernels() -> Finding:
     try:
         from cvqmpt_lab.jit import compiled_before, folder
     except ImportError as error:
-        return Finding(
-            "kernels", f"numba cannot be used: {error}", "pip install --force-reinstall numba llvmlite"
-        )
+        cure = "pip install --force-reinstall numba llvmlite"
+        return Finding("kernels", f"numba cannot be used: {error}", cure)
     if folder() is None:
-        return Finding(
-            "kernels", "no place to keep them", "set NUMBA_CACHE_DIR to a writable folder", needed=False
-        )
+        cure = "set NUMBA_CACHE_DIR to a writable folder"
+        return Finding("kernels", "no place to keep them", cure, needed=False)
     if not compiled_before():
         return Finding("kernels", f"not compiled yet in {folder()}", "cvqmpt warmup", needed=False)
     return Finding("kernels", f"compiled in {folder()}")

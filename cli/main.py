@@ -34,13 +34,10 @@ COMMANDS = {
     "completion": "print what makes a shell complete commands, options and names",
 }
 
-REMOVED = {"trust": "make trust, in a checkout"}
-"""What replaces commands of the release before."""
-
+REMOVED = {"trust": "make trust, in a checkout"}  # what replaces commands of the release before
 NEED_TORCH = ("train",)
-
+# Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Small networks are several times slower on many threads, and runs share the cores already."""
 
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -101,21 +100,13 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     name, _, value = text.partition("=")
     if name not in NAMED:
         raise UnknownChoiceError("--constraint", name, NAMED)
-    said = AT_START[name](robot.pose(start)) if name in AT_START else {}
+    said: dict[str, Any] = {}
+    if name == "upright":
+        said["axis"] = upper_axis(robot.pose(start))
+    if name == "fixed-orientation":
+        from scipy.spatial.transform import Rotation  # a third of a second to import
+
+        said["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
     if value:
         said[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
     return from_plain(Region, {name: said}, "--constraint")
-
-
-def _rpy(T: np.ndarray) -> list[float]:
-    """Roll, pitch and yaw [rad] of a pose (4, 4)."""
-    from scipy.spatial.transform import Rotation  # a third of a second to import
-
-    return Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()
-
-
-AT_START: Mapping[str, Callable[[np.ndarray], dict[str, Any]]] = {
-    "upright": lambda T: {"axis": upper_axis(T)},
-    "fixed-orientation": lambda T: {"rpy": _rpy(T)},
-}
-"""What a constraint by name takes from the end effector's pose (4, 4) at the start."""

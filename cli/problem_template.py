@@ -41,13 +41,7 @@ REGIONS = [
 
 
 def template(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Json of a problem that can be planned, for a robot as problem files name it.
-
-    Raises
-    ------
-    InvalidInputError
-        For a robot for which none is found.
-    """
+    """Json of a problem that can be planned, for a robot as in a problem file; InvalidInputError if there is none."""
     robot = robot_from_source(source)
     size, away = round(0.1 * robot.reach, 3), round(0.6 * robot.reach, 3)
     axis = upper_axis(robot.pose(0.5 * (robot.lower + robot.upper)))

@@ -27,34 +27,31 @@ FRAME = (
 
 def add_scan(parser: argparse.ArgumentParser) -> None:
     """Cameras, filters, obstacles."""
-    defaults = ScanSettings()
+    usual = ScanSettings()
     metres: dict[str, Any] = {"type": positive, "metavar": "M"}
     file: dict[str, Any] = {"action": "append", "default": [], "type": Path, "metavar": "F.json|yaml"}
     group = parser.add_argument_group("cameras of the scan; options are repeated in the order of the files")
     add: Callable[..., argparse.Action] = group.add_argument
-    lens = "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info"
-    add("--intrinsics", **file, help=lens)
+    add("--intrinsics", **file, help="of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info")
     add("--extrinsics", **file, help=FRAME)
     add("--scale", **metres, help="[m] of a unit (1; of a 16-bit image 0.001)")
-    level = "find the table, put it level: for a scan without --extrinsics"
-    add("--level", choices=("table",), help=level)
-    front = "where --level puts the middle of the table's near edge (0.3,0,0) [m]"
-    add("--front", metavar="X,Y,Z", help=front)
+    add("--level", choices=("table",), help="find the table, put it level: without --extrinsics")
+    add("--front", metavar="X,Y,Z", help="where --level puts the table's near edge (0.3,0,0) [m]")
     add = parser.add_argument_group("filters of the scan").add_argument
     add("--crop", metavar=",".join(CORNERS), help="keep what lies between two corners [m] (all)")
-    add("--voxel", **metres, default=defaults.voxel, help=f"edge of voxels ({defaults.voxel})")
-    margin = f"points this near to the arm are the arm ({defaults.robot_margin})"
-    add("--robot-margin", type=float, default=defaults.robot_margin, metavar="M", help=margin)
+    add("--voxel", **metres, default=usual.voxel, help=f"edge of voxels ({usual.voxel})")
+    margin = f"points this near to the arm are the arm ({usual.robot_margin})"
+    add("--robot-margin", type=float, default=usual.robot_margin, metavar="M", help=margin)
     add("--arm-at", metavar="Q", help="configuration of the arm when the scan was taken")
-    few = f"points with fewer within three voxels go ({defaults.neighbours})"
-    add("--neighbours", type=int, default=defaults.neighbours, metavar="N", help=few)
+    few = f"points with fewer within three voxels go ({usual.neighbours})"
+    add("--neighbours", type=int, default=usual.neighbours, metavar="N", help=few)
     planes = ("keep", "box", "remove")
     add("--plane", choices=planes, default="keep", help="the points of the supporting plane (keep)")
     add = parser.add_argument_group("obstacles made of the scan").add_argument
     add("--map", **metres, default=RESOLUTION, help=f"edge of the cells of a map ({RESOLUTION})")
     add("--padding", type=float, default=0.0, metavar="M", help="inflation radius of the cells (0)")
-    unknown = "cells that no ray of a camera crossed (free)"
-    add("--unknown", choices=("free", "occupied"), default="free", help=unknown)
+    ways = ("free", "occupied")
+    add("--unknown", choices=ways, default="free", help="cells that no ray of a camera crossed (free)")
     add("--radius", **metres, help="balls around the points instead; 0.87 voxels cover all")
 
 
@@ -100,9 +97,8 @@ def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
 def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
     """What belongs to each of the files: one each, or none."""
     if given and len(given) != len(files):
-        raise InvalidInputError(
-            f"{option} is given {len(given)} times for {len(files)} files; give one for each"
-        )
+        times = f"{len(given)} times for {len(files)} files"
+        raise InvalidInputError(f"{option} is given {times}; give one for each")
     return given or [None] * len(files)
 
 

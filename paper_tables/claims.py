@@ -33,9 +33,7 @@ class Claim(NamedTuple):
 
     title: str  # in our words
     paper: str  # the paper's number
-    statements: Mapping[
-        str, Sequence[Statement]
-    ]  # by the results directory that judges them; none: not by runs
+    statements: Mapping[str, Sequence[Statement]]  # by the results directory that judges them
     shown: Sequence[tuple[str, str]]  # metric and baseline of what stands for all in the short table
     remark: str  # what a reader must know to take the numbers rightly
 
@@ -135,19 +133,12 @@ CLAIMS = (
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     """Every claim by results directories, by name; those that are missing say nothing."""
-    return [
-        JudgedClaim(
-            claim,
-            tuple(
-                v
-                for name, said in claim.statements.items()
-                if name in found
-                for v in _judged(said, found[name])
-            ),
-            tuple(found[name] for name in claim.statements if name in found),
-        )
-        for claim in CLAIMS
-    ]
+    judged_now = []
+    for claim in CLAIMS:
+        own = {name: found[name] for name in claim.statements if name in found}
+        verdicts = [v for name, evidence in own.items() for v in _judged(claim.statements[name], evidence)]
+        judged_now.append(JudgedClaim(claim, tuple(verdicts), tuple(own.values())))
+    return judged_now
 
 
 def _judged(said: Sequence[Statement], evidence: Evidence) -> tuple[Verdict, ...]:

@@ -3,18 +3,16 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.row import ResultRow, split_problem
-from paper_tables import measures
 from paper_tables import table_engine as table
-from paper_tables.measures import RATIOS, REFERENCE, solved
+from paper_tables.measures import RATIOS, REFERENCE, ratio_to, share_of, solved
 from paper_tables.paper_numbers import PublishedValue
+from paper_tables.table_engine import Column
 
 ALL = "all kinds"
-COLUMNS: Mapping[str, table.Column] = {
-    "solved": table.Column("solved [%]", "%", measures.share_of(solved)),
+COLUMNS: Mapping[str, Column] = {
+    "solved": Column("solved [%]", "%", share_of(solved)),
     **{
-        name: table.Column(
-            f"{RATIOS[name][0]} / {REFERENCE}", "1", measures.ratio_to(REFERENCE, RATIOS[name][1])
-        )
+        name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
 }

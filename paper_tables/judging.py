@@ -63,11 +63,14 @@ def judged(
 def _share(statement: Statement, rows: Rows) -> Verdict:
     among, counted = SHARES[statement.metric]
     ours = fraction([row for row in rows if among(row)], counted)
-    ruling = Ruling.UNJUDGED
-    if ours.low is not None and ours.high is not None:
-        reached = Ruling.CONFIRMED if ours.low >= statement.stated else Ruling.COMPATIBLE
-        ruling = reached if ours.high >= statement.stated else Ruling.LESS
-    return Verdict(statement, NOTHING, statement.stated, ours, ruling)
+    found = Ruling.CONFIRMED
+    if ours.low is None or ours.high is None:
+        found = Ruling.UNJUDGED
+    elif ours.high < statement.stated:
+        found = Ruling.LESS
+    elif ours.low < statement.stated:
+        found = Ruling.COMPATIBLE
+    return Verdict(statement, NOTHING, statement.stated, ours, found)
 
 
 def _reduction(

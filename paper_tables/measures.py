@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from statistics import fmean, median
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
@@ -22,13 +22,9 @@ from cvqmpt_lab.results.statistics import (
     wilson_interval,
 )
 
-REFERENCE = (
-    "birrt"  # whose work says how hard a problem is, and against whom easy and hard problems are compared
-)
+REFERENCE = "birrt"  # its work says how hard a problem is; others are compared with it
 HARD_SHARE = 1 / 3
-STATE_CHECK_COST = (
-    3.5e-3  # [s] PyBullet asked for all distances of a Panda in this kitchen: 0.7 ms itself, 2.8 others
-)
+STATE_CHECK_COST = 3.5e-3  # [s] PyBullet, all distances of a Panda in this kitchen: 0.7 ms itself, 2.8 others
 # Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does more in Python,
 # so this is a lower bound and favours planners that project much.
 PROJECTION_COST = 2e-5
@@ -144,22 +140,17 @@ def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
     return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
 
-def paired_ratio(
-    rows: Iterable[ResultRow],
-    baseline: Iterable[ResultRow],
-    value: Value,
-    counted: Callable[[ResultRow], bool] | None = None,
-) -> Interval:
+def paired_ratio(rows: Iterable[ResultRow], baseline: Iterable[ResultRow], value: Value) -> Interval:
     """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
 
     Runs are paired by problem and seed; logarithms of a problem's seeds are averaged first. Values that are not
-    positive have no ratio and are left out. counted: which rows count (all).
+    positive have no ratio and are left out.
     """
     reference = {problem_key(row): value(row) for row in baseline if row.solved}
     logs: dict[str, list[float]] = {}
     for row in rows:
         own, other = value(row) if row.solved else None, reference.get(problem_key(row))
-        if own and other and min(own, other) > 0.0 and (counted is None or counted(row)):
+        if own and other and min(own, other) > 0.0:
             logs.setdefault(row.problem, []).append(math.log(own / other))
     ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
     return geometric_mean_interval(ratios)
@@ -168,8 +159,7 @@ def paired_ratio(
 # ---------------------------------------------------------------- easy and hard problems
 
 
-@dataclass(frozen=True)
-class Split:
+class Split(NamedTuple):
     """Easy and hard runs, by problem and seed."""
 
     easy: frozenset[ProblemKey]
@@ -259,12 +249,9 @@ def ratio_to(baseline: str, value: Value, part: str | None = None) -> Measure:
     """See `paired_ratio`; on a part of the split, or everywhere."""
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
-        counted = None if part is None else runs.split.parts[part]
-        return paired_ratio(
-            rows,
-            runs.baseline(baseline),
-            value,
-            None if counted is None else lambda row: problem_key(row) in counted,
-        )
+        if part is not None:
+            counted = runs.split.parts[part]
+            rows = [row for row in rows if problem_key(row) in counted]
+        return paired_ratio(rows, runs.baseline(baseline), value)
 
     return measure

@@ -7,12 +7,12 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
-from paper_tables import measures
 from paper_tables import table_engine as table
 from paper_tables.judging import judged, statement_lines
-from paper_tables.measures import Measure, solved
+from paper_tables.measures import Measure, mean_of, median_of, share_of, solved
 from paper_tables.paper_numbers import PublishedValue
 from paper_tables.statements import ABOUT_MULTI_SEQUENCE
+from paper_tables.table_engine import BriefColumn, Column
 from paper_tables.writers import Lines, number
 
 PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}  # that a time sums over
@@ -21,7 +21,7 @@ PARTS = {
     "all": "all planned phases",
 }
 TIMES = {"planning_time": "Planning", "execution_time": "Execution", "total_time": "Total"}
-STATISTICS = {"mean": measures.mean_of, "median": measures.median_of}
+STATISTICS = {"mean": mean_of, "median": median_of}
 
 
 def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
@@ -73,10 +73,10 @@ def time_metric(time: str, part: str, statistic: str) -> str:
     return f"{time}_of_{part}_phases_{statistic}"
 
 
-TASK_COLUMNS: Mapping[str, table.Column] = {
-    "solved": table.Column("Solved", "%", of_tasks(measures.share_of(solved))),
+TASK_COLUMNS: Mapping[str, Column] = {
+    "solved": Column("Solved", "%", of_tasks(share_of(solved))),
     **{
-        time_metric(time, part, name): table.Column(
+        time_metric(time, part, name): Column(
             label, "s", of_tasks(statistic(time), phases), time if (part, name) == ("paper", "mean") else None
         )
         for part, phases in PHASES.items()
@@ -86,16 +86,14 @@ TASK_COLUMNS: Mapping[str, table.Column] = {
 }
 
 
-def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> table.Column:
+def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> Column:
     """Over the runs that reached the phase, failures as infinite."""
-    column = table.Column(f"{label} [{unit}]", unit, measures.median_of(value))
+    column = Column(f"{label} [{unit}]", unit, median_of(value))
     return column if interval else replace(column, cell=lambda ours: number(ours.estimate))
 
 
-PHASE_COLUMNS: Mapping[str, table.Column] = {
-    "solved": table.Column(
-        "solved [%]", "%", measures.share_of(solved), cell=lambda ours: number(ours.estimate)
-    ),
+PHASE_COLUMNS: Mapping[str, Column] = {
+    "solved": Column("solved [%]", "%", share_of(solved), cell=lambda ours: number(ours.estimate)),
     "goals": _median("goals", "goals_time"),
     "networks": _median("networks", "network_time"),
     "search": _median("search", "search_time"),
@@ -108,15 +106,15 @@ HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
 BRIEF = (
-    table.BriefColumn("solved [%]", "accuracy", "solved"),
-    table.BriefColumn(
+    BriefColumn("solved [%]", "accuracy", "solved"),
+    BriefColumn(
         "planning [s]",
         "planning_time",
         time_metric("planning_time", "paper", "mean"),
         "our mean",
         interval=True,
     ),
-    table.BriefColumn(
+    BriefColumn(
         "execution [s]", "execution_time", time_metric("execution_time", "paper", "mean"), "our mean"
     ),
 )

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables import measures
 from paper_tables import table_engine as table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import (
@@ -14,10 +13,15 @@ from paper_tables.measures import (
     STATE_CHECK_COST,
     VALUES,
     SuiteRuns,
+    mean_of,
+    median_of,
+    ratio_to,
+    share_of,
     solved,
 )
 from paper_tables.paper_numbers import PublishedValue
 from paper_tables.statements import ABOUT_PLACE_TASK, ABOUT_SENSOR
+from paper_tables.table_engine import BriefColumn, Column
 from paper_tables.writers import Lines, Sections
 
 BASELINE = "ompl-projected"
@@ -35,49 +39,39 @@ def split_metric(ratio: str, part: str) -> str:
 
 
 HEADLINE_COLUMNS = {
-    "accuracy": table.Column("Accuracy", "%", measures.share_of(solved), "accuracy"),
-    "time_median": table.Column("Time", "s", measures.median_of("time")),
-    "time_mean": table.Column("Time", "s", measures.mean_of("time"), "time"),
-    "vertices_median": table.Column("Vertices", "1", measures.median_of("vertices", "solved")),
-    "vertices_mean": table.Column("Vertices", "1", measures.mean_of("vertices", "solved"), "vertices"),
-    "path_length_median": table.Column("Path length", "rad", measures.median_of("path_length", "joint")),
-    "path_length_mean": table.Column(
-        "Path length", "rad", measures.mean_of("path_length", "joint"), "path_length"
-    ),
+    "accuracy": Column("Accuracy", "%", share_of(solved), "accuracy"),
+    "time_median": Column("Time", "s", median_of("time")),
+    "time_mean": Column("Time", "s", mean_of("time"), "time"),
+    "vertices_median": Column("Vertices", "1", median_of("vertices", "solved")),
+    "vertices_mean": Column("Vertices", "1", mean_of("vertices", "solved"), "vertices"),
+    "path_length_median": Column("Path length", "rad", median_of("path_length", "joint")),
+    "path_length_mean": Column("Path length", "rad", mean_of("path_length", "joint"), "path_length"),
 }
 EFFORT = {
-    "path_length_raw_median": table.Column(
-        "raw length [rad]", "rad", measures.median_of("raw_length", "joint")
-    ),
-    "projections_median": table.Column("projections", "1", measures.median_of("projections")),
-    "newton_iterations_median": table.Column(
-        "Newton iterations", "1", measures.median_of("newton_iterations")
-    ),
-    "state_checks_median": table.Column("state checks", "1", measures.median_of("state_checks")),
-    "time_ratio": table.Column(f"time / {BASELINE}", "1", measures.ratio_to(BASELINE, VALUES["time"])),
-    "fallbacks": table.Column(
-        "by fallback [%]", "%", measures.share_of(lambda row: row.fallback is not None)
-    ),
+    "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
+    "projections_median": Column("projections", "1", median_of("projections")),
+    "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
+    "state_checks_median": Column("state checks", "1", median_of("state_checks")),
+    "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
+    "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
 }
 PAPER_COST = {
-    "paper_cost_median": table.Column("time at the paper's cost [s]", "s", measures.median_of("paper_cost")),
+    "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
     **{
-        f"paper_cost_ratio_{name}": table.Column(
-            f"the same / {name}", "1", measures.ratio_to(name, VALUES["paper_cost"])
-        )
+        f"paper_cost_ratio_{name}": Column(f"the same / {name}", "1", ratio_to(name, VALUES["paper_cost"]))
         for name in (REFERENCE, BASELINE)
     },
 }
 SPLIT = {
-    split_metric(name, part): table.Column(label, "1", measures.ratio_to(REFERENCE, value, part))
+    split_metric(name, part): Column(label, "1", ratio_to(REFERENCE, value, part))
     for name, (label, value) in RATIOS.items()
     for part in PARTS
 }
 CURVE = {
-    f"solved_within_{time:g}_s": table.Column(f"{time:g} s", "%", measures.share_of(partial(_within, time)))
+    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", share_of(partial(_within, time)))
     for time in CURVE_TIMES
 }
-COLUMNS: Mapping[str, table.Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
+COLUMNS: Mapping[str, Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
 HEADLINES: Mapping[str, Mapping[str, str]] = {
     "accuracy": {"ours": "accuracy"},
     **{
@@ -87,9 +81,9 @@ HEADLINES: Mapping[str, Mapping[str, str]] = {
 }
 """The paper's metrics, and our columns that answer them."""
 BRIEF = (
-    table.BriefColumn("solved [%]", "accuracy", "accuracy"),
-    table.BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
-    table.BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
+    BriefColumn("solved [%]", "accuracy", "accuracy"),
+    BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
+    BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
 )
 METHOD_NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
@@ -109,23 +103,19 @@ METHOD_NOTES = (
     f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are geometric means over problems "
     "that both solved, bootstrap intervals; time includes goal inverse kinematics, which is the same for all.",
 )
-SENSED: Mapping[str, table.Column] = {
-    "certified_in_map": table.Column("certified in the map [%]", "%", measures.share_of(solved)),
-    "free_in_truth": table.Column(
-        "of these free in truth [%]", "%", measures.share_of(lambda row: row.true_free is True, solved)
+SENSED: Mapping[str, Column] = {
+    "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
+    "free_in_truth": Column(
+        "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
     ),
-    "true_clearance_median": table.Column(
-        "clearance in truth [m]", "m", measures.median_of("true_clearance", "stated")
-    ),
-    "sense_median": table.Column("images to map [s]", "s", measures.median_of("sense_time", "stated")),
-    "whole_median": table.Column(
-        "images to certificate [s]", "s", measures.median_of("whole_time", "stated")
-    ),
+    "true_clearance_median": Column("clearance in truth [m]", "m", median_of("true_clearance", "stated")),
+    "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
+    "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
 }
 """What only scanned scenes have."""
 SENSED_BRIEF = (
     *(column._replace(interval=False) for column in BRIEF),
-    table.BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
+    BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
 )
 SENSED_NOTES = (
     "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second certificate, in the "

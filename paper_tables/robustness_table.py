@@ -4,10 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.row import ResultRow, split_problem
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables import measures
 from paper_tables import table_engine as table
-from paper_tables.measures import REFERENCE, Rows, SuiteRuns, solved
+from paper_tables.measures import REFERENCE, Rows, SuiteRuns, median_of, share_of, solved
 from paper_tables.paper_numbers import PublishedValue
+from paper_tables.table_engine import Column
 
 Setting = tuple[tuple[str, str], ...]
 """Name and value of everything that can be varied, in order."""
@@ -27,13 +27,11 @@ def _collisions(rows: Rows, runs: SuiteRuns) -> Interval:
     return Interval(sum(row.true_free is False for row in paths), None, None, len(paths))
 
 
-COLUMNS: Mapping[str, table.Column] = {
-    "solved": table.Column("solved [%]", "%", measures.share_of(solved)),
-    "true_free": table.Column(
-        "free in truth [%]", "%", measures.share_of(lambda row: row.true_free is True, solved)
-    ),
-    "collisions": table.Column("collide in truth", "1", _collisions, cell=lambda count: str(count.estimate)),
-    "length": table.Column("length [rad]", "rad", measures.median_of("path_length", "solved")),
+COLUMNS: Mapping[str, Column] = {
+    "solved": Column("solved [%]", "%", share_of(solved)),
+    "true_free": Column("free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)),
+    "collisions": Column("collide in truth", "1", _collisions, cell=lambda count: str(count.estimate)),
+    "length": Column("length [rad]", "rad", median_of("path_length", "solved")),
 }
 NOTES = (
     "One thing is varied, everything else is at its default (marked *). Scenes, starts and goals are the same.",

@@ -111,9 +111,10 @@ def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def weights_in(record: Mapping[str, Any]) -> dict[str, str]:
     """Digests of all models that a record's sessions used, by name."""
-    return {
-        name: digest for session in sessions(record) for name, digest in session.get("weights", {}).items()
-    }
+    found: dict[str, str] = {}
+    for session in sessions(record):
+        found |= session.get("weights", {})
+    return found
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,7 @@ SCHEMA = "2"
 RUNS_FILE = "runs.csv"
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
 
-PAPER_PHASES = (
-    "reach-handle",
-    "reach-can",
-    "carry",
-)  # whose times the paper's add up to, as far as can be inferred
+PAPER_PHASES = ("reach-handle", "reach-can", "carry")  # the paper times these, as far as can be inferred
 
 
 class FailReason(StrEnum):
@@ -143,9 +139,7 @@ class ResultRow:
 
 
 COLUMNS: tuple[str, ...] = tuple(field_kinds(ResultRow))
-FIRST_COLUMNS = COLUMNS.index(
-    "t_sense_s"
-)  # so many are in every file; older files lack some of the later ones
+FIRST_COLUMNS = COLUMNS.index("t_sense_s")  # so many are in every file; older files lack later ones
 SIGNED = ("min_clearance_m", "true_clearance_m")
 
 

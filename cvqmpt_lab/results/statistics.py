@@ -17,8 +17,7 @@ from cvqmpt_lab.results.row import ResultRow, natural_key
 
 CONFIDENCE = 0.95  # of every interval
 BOOTSTRAP_SAMPLES = 2000
-ProblemKey = tuple[str, str, int]
-"""(suite, problem, seed): what two planners must share for their runs to be a pair."""
+ProblemKey = tuple[str, str, int]  # (suite, problem, seed), which the runs of a pair share
 
 
 class Interval(NamedTuple):

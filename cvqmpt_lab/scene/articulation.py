@@ -35,10 +35,6 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     for the moving object too, e.g. a box in its path and its neighbour doors.
 
     may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
-
-    Raises
-    ------
-    UnknownChoiceError: an articulation that the scene does not have; lists those it has.
     """
     joint = scene.articulation(name)
     movers = [scene[part] for part in joint.moves]
@@ -47,8 +43,12 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
         item for item in scene.obstacles if item.name not in moved and not isinstance(item.shape, Measured)
     ]
     casing = [item for item in fixed if _rests_against(joint, movers, item)]
-    T_world_joint = joint.T_world_joint @ pose((0.0, 0.0, _along_axis(joint, movers)))
-    T_joint_world = np.linalg.inv(T_world_joint @ _motion(joint, joint.value))
+    T_joint_world = np.linalg.inv(joint.T_world_joint @ joint.motion(joint.value))
+    heights = [(T_joint_world @ item.T_world_object)[2, 3] for item in movers]
+    T_world_joint = joint.T_world_joint @ pose(
+        (0.0, 0.0, float(np.mean(heights)))
+    )  # its links stay close to it
+    T_joint_world = np.linalg.inv(T_world_joint @ joint.motion(joint.value))
     articulated = ArticulatedObject(
         name=name,
         kind=joint.kind,
@@ -65,17 +65,6 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
 def _part(item: SceneObject, T: FloatArray) -> Part:
     """The polytope around an object's shape; round shapes are circumscribed."""
     return Part(item.name, T, hull_vertices(coal_shape(item.shape)))
-
-
-def _motion(joint: Articulation, value: float) -> FloatArray:
-    """Motion (4, 4) of the joint, in its own frame, from 0 to a value."""
-    return pose((0.0, 0.0, 0.0), value) if joint.kind == "hinge" else pose((0.0, 0.0, value))
-
-
-def _along_axis(joint: Articulation, movers: Sequence[SceneObject]) -> float:
-    """Mean height [m] of the moving objects over the joint frame: there the joint's links stay close to it."""
-    T_joint_world = np.linalg.inv(joint.T_world_joint @ _motion(joint, joint.value))
-    return float(np.mean([(T_joint_world @ item.T_world_object)[2, 3] for item in movers]))
 
 
 def _rests_against(joint: Articulation, movers: Sequence[SceneObject], item: SceneObject) -> bool:

@@ -8,35 +8,26 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud
 
-MOST_BALLS = 1000
-"""Clouds of more points are checked as cells, which are only roughly the balls around the points."""
-MOST_CELLS_ACROSS = 60_000
-"""Along an edge of what is left of a cloud; of finer ones the cells are made larger."""
-DENSE = 1 << 26
-"""Grids of no more cells are searched as a whole: one byte a cell."""
+MOST_BALLS = 1000  # clouds of more points are checked as cells, which are only roughly the balls
+MOST_CELLS_ACROSS = 60_000  # along an edge of a cloud; of finer ones the cells are made larger
+DENSE = 1 << 26  # grids of no more cells are searched as a whole: one byte a cell
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Cubes of a grid, each inflated by a padding."""
 
-    index: np.ndarray
-    """(k, 3) int64, each only once, in order, the least of every column 0."""
-    edge: float
-    """Of each cube [m]."""
-    padding: float
-    """Inflation radius [m]."""
-    T_parent_cells: np.ndarray
-    """(4, 4), of the corner of cell 0, 0, 0 in the parent, the world or the hand [m]; axes along the grid."""
+    index: np.ndarray  # (k, 3) int64, each only once, in order, the least of every column 0
+    edge: float  # of each cube [m]
+    padding: float  # inflation radius [m]
+    T_parent_cells: np.ndarray  # (4, 4), of the corner of cell 0, 0, 0 in the world or the hand [m]
 
 
 class Boxes(NamedTuple):
     """Boxes along the axes of a grid."""
 
-    low: np.ndarray
-    """(b, 3) int64, index of the first cell in each."""
-    high: np.ndarray
-    """(b, 3) int64, index after the last."""
+    low: np.ndarray  # (b, 3) int64, index of the first cell in each
+    high: np.ndarray  # (b, 3) int64, index after the last
 
 
 def cells_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Cells | None:

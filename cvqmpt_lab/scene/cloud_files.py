@@ -55,11 +55,8 @@ class Column(NamedTuple):
 def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
     """Read the points of a file, whose suffix says what it is (see `READERS`); scale: [m] of one unit of the file.
 
-    Raises
-    ------
-    UnknownChoiceError: another suffix.
-    InvalidInputError: a file that cannot be read, contradicts itself, has no finite point, or is evidently not in
-        metres; names the file.
+    InvalidInputError for a file that cannot be read, contradicts itself, has no finite point, or is evidently not in
+    metres.
     """
     path = Path(path)
     reader = READERS[kind_of(path, READERS, "cloud")]
@@ -136,10 +133,7 @@ def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
 def read_array(data: bytes) -> np.ndarray:
     """The array of a NPY file, read-only, without the memory that a wrong header asks for.
 
-    Raises
-    ------
-    InvalidInputError: another size than the header says, Python objects, an unknown version.
-    ValueError: what numpy says of a damaged header.
+    InvalidInputError or numpy's ValueError for a file that is damaged, of an unknown version, or of Python objects.
     """
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
@@ -344,7 +338,7 @@ def _write_npy(points: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {
+READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by the file's suffix
     ".npy": _read_npy,
     ".pcd": _read_pcd,
     ".ply": _read_ply,
@@ -352,10 +346,8 @@ READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {
     ".txt": _read_lines,
     ".csv": _read_lines,
 }
-"""Readers of points (m, 3) by the suffix of the file."""
 WRITERS: Mapping[str, Callable[[np.ndarray], bytes]] = {
     ".pcd": _write_pcd,
     ".ply": _write_ply,
     ".npy": _write_npy,
 }
-"""Writers of points (m, 3) by the suffix of the file."""

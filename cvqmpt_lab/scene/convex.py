@@ -123,11 +123,12 @@ class Piece:
                 best, axis, at = cost, axis_now, at_now
         if not np.isfinite(best):
             return [self]
-        parts = []
-        for sign in (-1.0, 1.0):
-            low, high = self.low.copy(), self.high.copy()
-            (high if sign < 0.0 else low)[axis] = at
-            parts.append(Piece(_clipped(self.triangles, axis, at, sign), low, high, self.solid))
+        low, high = self.low.copy(), self.high.copy()
+        low[axis] = high[axis] = at
+        parts = [
+            Piece(_clipped(self.triangles, axis, at, -1.0), self.low, high, self.solid),
+            Piece(_clipped(self.triangles, axis, at, 1.0), low, self.high, self.solid),
+        ]
         return parts if all(len(part.triangles) for part in parts) else [self]
 
     def _sketch(self) -> FloatArray:
@@ -158,10 +159,7 @@ def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m].
 
     Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle [m].
-
-    Raises
-    ------
-    InvalidInputError: the mesh as a whole spans no volume, see `check_volume`.
+    InvalidInputError where the mesh as a whole spans no volume.
     """
     points = triangles.reshape(-1, 3)
     check_volume(points, "the corners of the mesh")
@@ -216,9 +214,20 @@ def hull_of(points: FloatArray) -> FloatArray:
 def of_few_vertices(vertices: FloatArray) -> FloatArray:
     """A hull of at most `MOST_VERTICES` that holds a hull of vertices (n, 3) [m].
 
-    The same where that has no more. Else faces are left out, and those that stay are drawn to where they meet.
+    Where that has more, its faces but `PLANES` of them are left out; those are moved outwards until they hold it.
     """
-    return vertices if len(vertices) <= MOST_VERTICES else _with_fewer_faces(vertices)
+    if len(vertices) <= MOST_VERTICES:
+        return vertices
+    normals = ConvexHull(vertices).equations[:, :3]
+    chosen = [*np.eye(3), *-np.eye(3)]
+    nearest = np.max(normals @ np.array(chosen).T, axis=1)
+    while len(chosen) < PLANES:  # the normal farthest from those chosen
+        chosen.append(normals[np.argmin(nearest)])
+        nearest = np.maximum(nearest, normals @ chosen[-1])
+    planes = np.unique(np.array(chosen), axis=0)
+    reach = (vertices @ planes.T).max(axis=0) + SLACK
+    corners = HalfspaceIntersection(np.c_[planes, -reach], vertices.mean(axis=0)).intersections
+    return corners[ConvexHull(corners).vertices]
 
 
 def spread_points(triangles: FloatArray, count: int) -> FloatArray:
@@ -243,17 +252,3 @@ def _thickened(points: FloatArray) -> FloatArray:
         low, high = low - gap, high + gap
         return np.array(list(product(*zip(low, high, strict=True)))) @ turned
     return np.concatenate([points - gap[0] * normal, points + gap[0] * normal])
-
-
-def _with_fewer_faces(vertices: FloatArray) -> FloatArray:
-    """Vertices of a polytope of `PLANES` faces that holds the hull of vertices (n, 3)."""
-    normals = ConvexHull(vertices).equations[:, :3]
-    chosen = [*np.eye(3), *-np.eye(3)]
-    nearest = np.max(normals @ np.array(chosen).T, axis=1)
-    while len(chosen) < PLANES:  # the normal farthest from those chosen
-        chosen.append(normals[np.argmin(nearest)])
-        nearest = np.maximum(nearest, normals @ chosen[-1])
-    planes = np.unique(np.array(chosen), axis=0)
-    reach = (vertices @ planes.T).max(axis=0) + SLACK
-    corners = HalfspaceIntersection(np.c_[planes, -reach], vertices.mean(axis=0)).intersections
-    return corners[ConvexHull(corners).vertices]

@@ -13,8 +13,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing
 from cvqmpt_lab.scene.convex import convex_pieces
 
-KINDS: Mapping[str, str] = {".stl": "stl", ".obj": "obj", ".dae": "dae"}
-"""What the parser calls a file, by its suffix."""
+KINDS: Mapping[str, str] = {".stl": "stl", ".obj": "obj", ".dae": "dae"}  # the parser's names by suffix
 MOST_TRIANGLES = 200_000
 ROOM = 20.0  # [m] within which at least half of a mesh must lie
 
@@ -25,11 +24,8 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     scale: [m] of one unit of the file. A DAE file states its unit, which is applied before; which
         axis it calls up is ignored, as for meshes of robots.
 
-    Raises
-    ------
-    UnknownChoiceError: another suffix than those of `KINDS`.
-    InvalidInputError: a file that cannot be read, has no triangle, too many, or none that span a volume, or is
-        evidently not in metres; names the file.
+    InvalidInputError for a file that cannot be read, has no triangle, too many, or none that span a volume, or is
+    evidently not in metres.
     """
     path = Path(path)
     triangles = scale * read_triangles(path)

@@ -52,9 +52,11 @@ class Articulation(Checked):
     def displacement(self, value: float) -> FloatArray:
         """Return the (4, 4) world motion that carries the moved objects from `self.value` to `value`, in its range."""
         self._check_range(value)
-        change = value - self.value
-        motion = pose((0.0, 0.0, 0.0), change) if self.kind == "hinge" else pose((0.0, 0.0, change))
-        return self.T_world_joint @ motion @ np.linalg.inv(self.T_world_joint)
+        return self.T_world_joint @ self.motion(value - self.value) @ np.linalg.inv(self.T_world_joint)
+
+    def motion(self, change: float) -> FloatArray:
+        """Return the motion (4, 4) by a change of the value [rad or m], in the joint frame."""
+        return pose((0.0, 0.0, 0.0), change) if self.kind == "hinge" else pose((0.0, 0.0, change))
 
     def _check_range(self, value: float) -> None:
         """Raise `InvalidInputError` unless `value` is in the range."""
@@ -126,12 +128,7 @@ class Scene(Checked):
         return replace(self, objects=self.objects + objects)
 
     def without(self, *names: str) -> "Scene":
-        """Return a scene without these objects; articulations that then move nothing go too.
-
-        Raises
-        ------
-        UnknownChoiceError: a name is not an object of the scene.
-        """
+        """Return a scene without these objects; articulations that then move nothing go too."""
         gone = {self[name].name for name in names}
         joints = (
             replace(item, moves=tuple(name for name in item.moves if name not in gone))

@@ -32,10 +32,6 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
 
     data: not changed; its scene may be the path of a json file; what is no object with a shape by path stays as it is.
     folder: of the json file, from which paths go on.
-
-    Raises
-    ------
-    InvalidInputError: a file that cannot be used, or a field that is wrong; names both.
     """
     read = dict(data)
     if isinstance(data.get("scene"), str):

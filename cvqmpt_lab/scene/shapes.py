@@ -33,12 +33,7 @@ def thin_direction(points: FloatArray) -> FloatArray:
 
 
 def check_volume(points: FloatArray, what: str) -> None:
-    """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision checks.
-
-    Raises
-    ------
-    InvalidInputError: says which, after `what`.
-    """
+    """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision checks."""
     farthest = float(np.abs(points).max(initial=0.0))
     if farthest > FARTHEST:
         raise InvalidInputError(
@@ -189,12 +184,7 @@ Shape: TypeAlias = Annotated[
 
 
 def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
-    """Return the (n, 3) corner points [m] whose convex hull the shape is, in the shape's frame.
-
-    Raises
-    ------
-    InvalidInputError: the shape is round, a point cloud or a map, and therefore has no corners.
-    """
+    """Return the (n, 3) corner points [m] whose convex hull the shape is, in the shape's frame."""
     if isinstance(shape, Box):
         return 0.5 * np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * np.array(shape.size)
     if isinstance(shape, ConvexMesh):

@@ -43,7 +43,7 @@ def test_ratios_are_geometric_means_over_problems_that_both_solved():
     ratio = paired_ratio(rows, base, work)
     assert ratio.estimate == pytest.approx(4.0) and ratio.n == 2  # sqrt(2 * 8)
     assert (ratio.low, ratio.high) == (pytest.approx(2.0), pytest.approx(8.0))
-    one = paired_ratio(rows, base, work, lambda row: row.problem in ("1", "2"))
+    one = paired_ratio([row for row in rows if row.problem in ("1", "2")], base, work)
     assert (one.estimate, one.n, one.low) == (pytest.approx(8.0), 1, None)
     assert paired_ratio(rows, [], work).estimate is None
     assert paired_ratio([run("x", 0, 0)], base, work).estimate is None  # no work: no ratio
