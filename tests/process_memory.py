@@ -9,8 +9,9 @@ from pathlib import Path
 class Mallinfo(ctypes.Structure):
     """What `mallinfo2` of the GNU C library returns: ten sizes, of which two are used here."""
 
-    _fields_ = [("before", ctypes.c_size_t * 4), ("hblkhd", ctypes.c_size_t), ("between", ctypes.c_size_t * 2)]
-    _fields_ += [("uordblks", ctypes.c_size_t), ("after", ctypes.c_size_t * 2)]
+    _fields_ = [
+        (name, ctypes.c_size_t) for name in ["a", "b", "c", "d", "hblkhd", "f", "g", "uordblks", "i", "j"]
+    ]
 
 
 def resident():

@@ -105,6 +105,14 @@ def test_layers_and_doors_are_kept(tmp_path):
     assert done.returncode == 0 and " 0 broken" in done.stdout, done.stdout
 
 
+def test_contracts_can_break(tmp_path):
+    text = (ROOT / ".importlinter").read_text()
+    assert text.count("    rerun\n    torch\n") == 1
+    (tmp_path / "c.ini").write_text(text.replace("    rerun\n    torch\n", "    rerun\n    numba\n"))
+    done = linted(["--config", str(tmp_path / "c.ini")], tmp_path)
+    assert done.returncode != 0 and "-> numba" in done.stdout, done.stdout
+
+
 def test_the_plan_of_the_house_names_every_room():
     block = (ROOT / "docs" / "architecture.md").read_text().split("```")[1]
     rooms = {word for line in block.splitlines() if re.match(r"  \w", line) for word in line[2:28].split()}
