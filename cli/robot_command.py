@@ -130,8 +130,7 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
 
 
 def _few(names: list[str]) -> str:
-    more = f", ... (--json lists {len(names)})" if len(names) > NAMES else ""
-    return ", ".join(names[:NAMES]) + more
+    return ", ".join(names[:NAMES]) + (f", ... (--json lists {len(names)})" if len(names) > NAMES else "")
 
 
 def _alone(robot: Robot) -> PlanningProblem:

@@ -28,13 +28,7 @@ class Compared(NamedTuple):
 
 
 def compared(a: Rows, b: Rows) -> list[Compared]:
-    """Every planner that both have.
-
-    Raises
-    ------
-    InvalidInputError
-        When the runs are of other suites, have no planner in common, or a planner's problems and seeds differ.
-    """
+    """Every planner that both have; InvalidInputError where suites, problems or seeds differ, or none is in both."""
     suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
     if suites[0] != suites[1]:
         raise InvalidInputError(

@@ -105,18 +105,11 @@ PHASE_COLUMNS: Mapping[str, Column] = {
 HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
+PLANNING, EXECUTION = (time_metric(time, "paper", "mean") for time in ("planning_time", "execution_time"))
 BRIEF = (
     BriefColumn("solved [%]", "accuracy", "solved"),
-    BriefColumn(
-        "planning [s]",
-        "planning_time",
-        time_metric("planning_time", "paper", "mean"),
-        "our mean",
-        interval=True,
-    ),
-    BriefColumn(
-        "execution [s]", "execution_time", time_metric("execution_time", "paper", "mean"), "our mean"
-    ),
+    BriefColumn("planning [s]", "planning_time", PLANNING, "our mean", interval=True),
+    BriefColumn("execution [s]", "execution_time", EXECUTION, "our mean"),
 )
 NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
@@ -150,13 +143,11 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
         by_phase += parts
         in_csv += [tasks[-1], *parts]
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
-    size = f"{len({name.task for name in names})} tasks"
-    suite = runs.rows[0].suite
+    size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
+    said = judged(ABOUT_MULTI_SEQUENCE, task_rows(runs.rows, PAPER_PHASES), published)
     sections = {
         **{f"{size}, {text}": _time_lines(tasks, part) for part, text in PARTS.items()},
-        "What the paper says": statement_lines(
-            judged(ABOUT_MULTI_SEQUENCE, task_rows(runs.rows, PAPER_PHASES), published)
-        ),
+        "What the paper says": statement_lines(said),
         "By phase (medians over the runs that reached it)": table.group_lines(by_phase, ["phase"], "n"),
         "Fallbacks": table.count_lines(tasks, "fallbacks"),
         "Failures": table.count_lines(tasks, "failures"),

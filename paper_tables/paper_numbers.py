@@ -1,7 +1,6 @@
 """The paper's numbers, as printed there, from the csv files in ``published``."""
 
 import csv
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,12 +26,3 @@ def read_published(name: str, environment: str | None = None) -> tuple[Published
     with (PUBLISHED / name).open(encoding="utf-8", newline="") as handle:
         values = [PublishedValue(**record) for record in csv.DictReader(handle)]
     return tuple(value for value in values if environment in (None, value.environment))
-
-
-def notes_on(published: Iterable[PublishedValue]) -> list[str]:
-    """Notes on the paper's numbers, each once, with the metric and the planners it belongs to."""
-    owners: dict[tuple[str, str], list[str]] = {}
-    for value in published:
-        if value.note:
-            owners.setdefault((value.metric, value.note), []).append(value.paper_name)
-    return [f"{metric} ({', '.join(names)}): {note}" for (metric, note), names in owners.items()]

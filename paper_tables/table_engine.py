@@ -11,7 +11,7 @@ from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_pro
 from cvqmpt_lab.results.statistics import Interval, jointly_solved
 from paper_tables import writers
 from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, split_by_work
-from paper_tables.paper_numbers import PublishedValue, notes_on
+from paper_tables.paper_numbers import PublishedValue
 from paper_tables.writers import Lines, Sections, bounds, csv_text, estimate, latex_table, number, text_lines
 
 CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
@@ -167,17 +167,21 @@ def _at(row: ResultRow, what: str) -> str:
 
 def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
     """Counts of equal texts, the most frequent first, each with the first example."""
-    by_what = [
-        (what, list(pairs)) for what, pairs in groupby(sorted(found, key=itemgetter(0)), itemgetter(0))
-    ]
-    counts = [Count(what, pairs[0][1], len(pairs)) for what, pairs in by_what]
+    examples: dict[str, list[str]] = {}
+    for what, example in found:
+        examples.setdefault(what, []).append(example)
+    counts = [Count(what, same[0], len(same)) for what, same in sorted(examples.items())]
     return tuple(sorted(counts, key=lambda count: -count.runs))
 
 
 def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> list[str]:
-    """Notes on the paper's numbers of planners that ran."""
+    """Notes on the paper's numbers of planners that ran, each once, with its metric and planners."""
     ran = {row.planner for row in runs.rows}
-    return notes_on(value for value in published if value.planner in ran)
+    owners: dict[tuple[str, str], list[str]] = {}
+    for value in published:
+        if value.note and value.planner in ran:
+            owners.setdefault((value.metric, value.note), []).append(value.paper_name)
+    return [f"{metric} ({', '.join(names)}): {note}" for (metric, note), names in owners.items()]
 
 
 def seed_notes(runs: SuiteRuns) -> Iterable[str]:
@@ -255,21 +259,16 @@ def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[
 def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:
     """Some columns of `group_lines` for a terminal, numbers without intervals."""
     first = lines[0].index("planner")
-    chosen = [
-        [line[k] if k <= first or line is lines[0] else line[k].partition(" ")[0] for k in columns]
-        for line in lines
-    ]
-    return text_lines(chosen)
+    short = [[line[k] if k <= first else line[k].partition(" ")[0] for k in columns] for line in lines[1:]]
+    return text_lines([[lines[0][k] for k in columns], *short])
 
 
 def latex_planners(
     caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
 ) -> str:
     """The paper's layout, planners as columns; metrics: of the paper, with our columns by their titles."""
-    names = [
-        ["", "", *(item.paper_name or item.planner for item in found)],
-        ["", "", *(item.planner if item.paper_name else "" for item in found)],
-    ]
+    paper = ["", "", *(item.paper_name or item.planner for item in found)]
+    names = [paper, ["", "", *(item.planner if item.paper_name else "" for item in found)]]
     return latex_table(caption, suite, [names, *(_latex_block(found, *item) for item in metrics.items())])
 
 

@@ -33,10 +33,10 @@ BROKEN = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.erro
 class RunStore:
     """A directory with ``runs.csv``, ``paths.npz`` and ``provenance.json`` that grows run by run.
 
-    One process appends (its workers hand it their rows). The rows of a run are on disk, in
-    ``runs.partial.csv`` with an empty line behind them, before `append` returns, and its paths before them;
-    `finish`, or leaving the ``with`` block for any reason, merges them into ``runs.csv`` and ``paths.npz``. After a
-    kill the next `open` merges what was left and ignores a run whose rows were cut short.
+    One process appends (its workers hand it their rows). Before `append` returns, the paths of a run and then its
+    rows are on disk, the rows in ``runs.partial.csv`` with an empty line after them. `finish`, or leaving the ``with``
+    block for any reason, merges them into ``runs.csv`` and ``paths.npz``. After a kill the next `open` merges what was
+    left, without a run whose rows were cut short.
     """
 
     def __init__(self, directory: Path, lock: int, later_session: Mapping[str, object] | None) -> None:

@@ -47,16 +47,11 @@ class FilledCells:
         surface[tuple(self._cells_of(samples, cells).T)] = True
         filled = ndimage.binary_fill_holes(surface)
         self._inside = filled & ~surface
-        self._share = (filled - 0.5 * surface) * self._correction(
-            triangles, filled.sum() - 0.5 * surface.sum()
-        )
-
-    def _correction(self, triangles: FloatArray, cells: float) -> float:
-        """By how much a closed mesh's volume differs from that of its cells; 1 for open ones."""
-        mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-        if not mesh.is_watertight:
-            return 1.0
-        return float(np.clip(abs(mesh.volume) / (cells * self._cell**3), 0.5, 1.5))
+        self._share = filled - 0.5 * surface
+        mesh = trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3))
+        if mesh.is_watertight:  # correct the cells' volume by the mesh's own
+            cells_volume = self._share.sum() * self._cell**3
+            self._share = self._share * float(np.clip(abs(mesh.volume) / cells_volume, 0.5, 1.5))
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
         """Solid volume [m^3] between two corners (3,), about."""

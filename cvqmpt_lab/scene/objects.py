@@ -29,17 +29,13 @@ def handle(
     bar = cylinder(f"{name}/handle_bar", 0.5 * p.handle_diameter, p.handle_length, centre, axis)
     along = bar.T_world_object[:3, 2]
     ends = ("right", "left") if axis == "y" else ("lower", "upper")
-    posts = [
-        cylinder(
-            f"{name}/handle_post_{end}",
-            0.5 * p.post_diameter,
-            p.post_length,
-            centre + sign * 0.5 * p.post_spacing * along + (0.5 * p.post_length, 0.0, 0.0),
-            "x",
+    pieces = [bar]
+    for end, sign in zip(ends, (-1, +1), strict=True):
+        middle = centre + sign * 0.5 * p.post_spacing * along + (0.5 * p.post_length, 0.0, 0.0)
+        pieces.append(
+            cylinder(f"{name}/handle_post_{end}", 0.5 * p.post_diameter, p.post_length, middle, "x")
         )
-        for end, sign in zip(ends, (-1, +1), strict=True)
-    ]
-    return [bar, *posts]
+    return pieces
 
 
 def hinged(
@@ -109,23 +105,20 @@ class ObjectModel:
         return SceneObject(name, self.shape, T_world_link @ pose(self.shape_centre))
 
 
+# YcbChipsCan as scaled in the published experiment code.
 CAN = ObjectModel(
     shape=Cylinder(radius=0.0373, height=0.242),
     shape_centre=(-0.005, 0.012, 0.1265),
     com=(-0.005, 0.010, 0.100),
 )
-"""YcbChipsCan as scaled in the published experiment code."""
-
-CRACKER_BOX = ObjectModel(
+CRACKER_BOX = ObjectModel(  # YcbCrackerBox
     shape=Box((0.0616, 0.1575, 0.2068)),
     shape_centre=(0.028, -0.011, -0.005),
     com=(0.030, -0.010, -0.020),
 )
-"""YcbCrackerBox."""
-
+# YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's.
 MUSTARD_BOTTLE = ObjectModel(
     shape=Box((0.0589, 0.0986, 0.1905)),
     shape_centre=(0.005, 0.005, 0.0125),
     com=(0.005, 0.005, -0.015),
 )
-"""YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's."""

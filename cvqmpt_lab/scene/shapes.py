@@ -73,8 +73,7 @@ class MeshFile(Checked):
     scale: Length = 1.0  # [m] of one unit of the file
 
 
-SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
-"""By the "type" that json calls them."""
+SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}  # by "type" in json
 
 
 class WholeNumbers(Array):
@@ -165,10 +164,8 @@ class OccupancyMap(Checked):
         return (self.cells + 0.5) * self.resolution
 
 
-Measured = PointCloud | OccupancyMap
-"""What sensors make of a world, of which cameras have seen all that can be seen."""
-
-SHAPES = {
+Measured = PointCloud | OccupancyMap  # what sensors make of a world
+SHAPES = {  # by "type" in json
     "box": Box,
     "cylinder": Cylinder,
     "sphere": Sphere,
@@ -176,8 +173,6 @@ SHAPES = {
     "point_cloud": PointCloud,
     "occupancy_map": OccupancyMap,
 }
-"""Shapes by the "type" that json calls them."""
-
 Shape: TypeAlias = Annotated[
     Box | Cylinder | Sphere | ConvexMesh | PointCloud | OccupancyMap, Tagged("type", SHAPES, SHAPES_BY_PATH)
 ]
