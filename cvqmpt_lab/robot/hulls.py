@@ -46,7 +46,7 @@ def require_volume(points: np.ndarray, what: str) -> None:
 
 
 def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
-    """The convex hull of points (n, 3) [m], as coal sees it; InvalidInputError where it has no volume."""
+    """The convex hull of points (n, 3) [m] in coal; InvalidInputError if it has no volume."""
     require_volume(points, "a convex mesh")
     listed = coal.StdVec_Vec3s()
     listed.extend(list(points))
@@ -54,7 +54,7 @@ def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
 
 
 def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
-    """A convex piece as plain data; frames: what `axis_frames` returned. InvalidInputError for one beyond FARTHEST."""
+    """A convex piece as arrays; frames: of `axis_frames`. InvalidInputError for one beyond FARTHEST."""
     link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
     vertices = hull_vertices(item.geometry)
     farthest = float(np.abs(vertices).max())
@@ -71,9 +71,8 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     Round shapes (cylinder, capsule, sphere) are circumscribed by 24-sided prisms or boxes.
     """
     if isinstance(shape, coal.ConvexBase):
-        points = shape.points()
-        return np.array(points, dtype=float).reshape(-1, 3)
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+        return np.array(shape.points(), dtype=float).reshape(-1, 3)
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
     if isinstance(shape, coal.Box):
         return corners * shape.halfSide
     if isinstance(shape, coal.Sphere):

@@ -54,11 +54,8 @@ class Kinematics(NamedTuple):
 
 @kernel(inline="machine")
 def forward_kinematics(kinematics, q, link_rotation, link_translation):
-    """Write the pose of every joint frame.
+    """Write the pose of every joint frame at q (n,) [rad or m].
 
-    Parameters
-    ----------
-    q: (n,) joint values [rad or m].
     link_rotation, link_translation: (n + 1, 3, 3) and (n + 1, 3) [m], overwritten; row 0 is the world.
     """
     turn, offset = kinematics.rotation, kinematics.translation
@@ -102,16 +99,7 @@ def write_link_poses(
 
 
 def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of all joint frames for many configurations.
-
-    Parameters
-    ----------
-    configurations: (m, n).
-
-    Returns
-    -------
-    rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
-    """
+    """Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m] of all joint frames at configurations (m, n)."""
     m, rows = len(configurations), len(kinematics.parent) + 1
     rotations, translations = np.empty((m, rows, 3, 3)), np.empty((m, rows, 3))
     write_link_poses(kinematics, configurations, rotations, translations)

@@ -34,10 +34,8 @@ from cvqmpt_lab.robot.urdf import (
     read_urdf,
 )
 
-MOST_REACH = 10.0
-"""[m] from the origin; the kernels' distance grid, which covers the cube around it, takes 125 MB then."""
-
-JOINT = "joint: "  # Before the names that joints have while pinocchio takes out those that are held
+MOST_REACH = 10.0  # [m] from the origin; the kernels' distance grid then takes 125 MB
+JOINT = "joint: "  # prefix of joint names in pinocchio, which confuses joints and links of one name
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:
@@ -61,17 +59,12 @@ def load_robot(
 
     Parameters
     ----------
-    end_effector: frame that constraints and goals speak of.
+    end_effector: frame that constraints and goals are about.
     srdf: file with the link pairs to skip; without one they are found by sampling.
     locked: joints to fix, with their values [rad or m].
     package_dirs: folders in which ``package://`` mesh paths are looked up first.
     acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs them.
     base: (4, 4), pose of the base link in the world.
-
-    Raises
-    ------
-    InvalidInputError: unreadable file, missing or flat mesh, joints that can be neither moved nor held.
-    UnknownChoiceError: end_effector or a locked joint that is not in the URDF.
     """
     source: dict[str, Any] = {
         "urdf": str(Path(urdf).resolve()),
@@ -90,12 +83,7 @@ def load_robot(
 def robot_from_source(source: Mapping[str, Any]) -> Robot:
     """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``.
 
-    Either with an "articulated" object, the json of an `ArticulatedObject`, whose joint then comes last.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError
-        As `load_robot`, and for unknown fields.
+    Either may have an "articulated" object, the json of an `ArticulatedObject`, whose joint then comes last.
     """
     try:
         arm = json.dumps(
@@ -120,12 +108,8 @@ def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
     )
 
 
-def _by_source(robot: Robot) -> tuple:
-    """How a robot is pickled: worker processes rebuild pinocchio's objects."""
-    return robot_from_source, (robot.source,)
-
-
-copyreg.pickle(Robot, _by_source)
+# Pickled by its source: worker processes build pinocchio's objects again.
+copyreg.pickle(Robot, lambda robot: (robot_from_source, (robot.source,)))
 
 
 def _built(source: Mapping[str, Any]) -> Robot:

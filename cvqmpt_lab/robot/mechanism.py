@@ -1,8 +1,6 @@
 """A robot and the door or drawer it moves, as one kinematic tree of n + 1 joints.
 
-What holds for the arm then holds for the door: a planner turns its joint, its panel and handle are
-links checked against the arm and against the scene, and its handle is a frame that a constraint may
-hang on. No kernel knows of doors.
+Planners and kernels treat the door as part of the arm: its pieces are links, its handle is a frame.
 """
 
 from collections.abc import Sequence
@@ -13,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name
-from cvqmpt_lab.codec.plain import Checked, to_plain
+from cvqmpt_lab.codec.plain import Checked, to_plain, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
@@ -26,9 +24,8 @@ JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 class Part(Checked):
     """A convex piece of an articulated object."""
 
-    name: Name  # Also that of a frame of the robot, if the piece moves
-    T: Pose
-    """(4, 4), in the joint frame at value 0 for a piece that moves, in the world for one that does not."""
+    name: Name  # also of a frame of the robot, if the piece moves
+    T: Pose  # (4, 4), in the joint frame at value 0 for a piece that moves, else in the world
     vertices: Annotated[FloatArray, Array((None, 3), "corners [m]")]  # (n, 3), in its own frame [m]
 
     def __post_init__(self) -> None:
@@ -40,20 +37,20 @@ class Part(Checked):
 class ArticulatedObject(Checked):
     """A door or drawer: one joint, the pieces it moves, and the fixed pieces these rest against."""
 
-    name: Name  # Of the joint
-    kind: Literal["hinge", "slider"]
-    """A hinge turns about the z axis of the joint frame, a slider moves along it."""
+    name: Name  # of the joint
+    kind: Literal["hinge", "slider"]  # turns about the z axis of the joint frame, or moves along it
     T_world_joint: Pose  # (4, 4) at value 0
     lower: float  # [rad or m]
     upper: float  # [rad or m]
-    parts: tuple[Part, ...]  # What moves
-    casing: tuple[Part, ...] = ()
-    """Fixed pieces that the parts touch, or nearly, without ever entering them. They are checked
-    against the robot and what it carries, never against the parts."""
-    may_touch: tuple[tuple[str, str], ...] = ()
-    """(robot piece, part) pairs that are not checked: what holds the handle."""
-    velocity: Length = 1.0  # How fast it may be moved [rad/s or m/s]; only timing a path needs it
-    acceleration: Length = 2.0  # [rad/s^2 or m/s^2], likewise
+    parts: tuple[Part, ...]  # what moves
+    casing: tuple[
+        Part, ...
+    ] = ()  # fixed pieces next to the parts, checked against the robot but not against them
+    may_touch: tuple[
+        tuple[str, str], ...
+    ] = ()  # (robot piece, part) pairs not checked: what holds the handle
+    velocity: Length = 1.0  # limit [rad/s or m/s]; only timing a path needs it
+    acceleration: Length = 2.0  # limit [rad/s^2 or m/s^2]; only timing a path needs it
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,21 +61,13 @@ class ArticulatedObject(Checked):
             )
         if not self.parts:
             raise InvalidInputError(f"{what} moves nothing: give 'parts'")
-        names = [part.name for part in (*self.parts, *self.casing)]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise InvalidInputError(f"{what} has two pieces called {twice!r}: names must be unique")
+        unique((part.name for part in (*self.parts, *self.casing)), f"pieces of {what}")
 
 
 def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     """The robot with one more joint, its last: that of a door or drawer, whose pieces become links.
 
     The scene must not hold these pieces any more: `scene.articulation.take_out` gives both.
-
-    Raises
-    ------
-    InvalidInputError: a robot that has an articulated object already, or names that it knows already.
-    UnknownChoiceError: a piece in may_touch that does not exist.
     """
     _check_names(robot, item)
     model, geometry = robot.model.copy(), robot.collision_model.copy()
@@ -109,20 +98,17 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
 def _check_names(robot: Robot, item: ArticulatedObject) -> None:
     if "articulated" in robot.source:
         raise InvalidInputError(f"robot {robot.name} has an articulated object already: start from the arm")
-    pieces = [piece.name for piece in robot.links]
+    pieces, parts = [piece.name for piece in robot.links], [part.name for part in item.parts]
     known = {*pieces, *robot.frame_names, *robot.joint_names}
     for name in (item.name, *(part.name for part in (*item.parts, *item.casing))):
         if name in known:
             raise InvalidInputError(
                 f"robot {robot.name} has a {name!r} already: rename that of {item.name!r}"
             )
-    for piece, part in item.may_touch:
-        if piece not in pieces:
-            raise UnknownChoiceError(f"robot piece in 'may_touch' of {item.name!r}", piece, pieces)
-        if part not in [p.name for p in item.parts]:
-            raise UnknownChoiceError(
-                f"part in 'may_touch' of {item.name!r}", part, [p.name for p in item.parts]
-            )
+    for pair in item.may_touch:
+        for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):
+            if name not in names:
+                raise UnknownChoiceError(f"{what} in 'may_touch' of {item.name!r}", name, names)
 
 
 def _add_joint(model: pin.Model, item: ArticulatedObject) -> int:

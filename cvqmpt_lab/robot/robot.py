@@ -1,14 +1,14 @@
-"""A robot arm as data: joint limits, kinematic arrays, convex collision geometry.
+"""A robot arm: its joints, limits and collision geometry.
 
-This folder is the door to pinocchio. `Robot` carries the same model twice: as pinocchio objects
-(the exact backend and the certificate) and as plain arrays (the compiled kernels); tests hold the
-two together.
+`Robot` has its model twice: as pinocchio objects for the exact backend and the certificate, and as arrays for the
+compiled kernels. Tests compare the two.
 """
 
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -17,31 +17,30 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 
-DIGEST_DECIMALS = 9
-"""[rad or m]; coarser than what compilers and processors make of the same URDF, finer than any maker's tolerance."""
+DIGEST_DECIMALS = (
+    9  # [rad or m]: rounding differences of compilers and processors must not show in the digest
+)
 
 
-@dataclass(frozen=True)
-class LeftOut:
+class LeftOut(NamedTuple):
     """Two links that are not checked against each other."""
 
     first: str
     second: str
-    reason: str  # As in an SRDF: Adjacent, Always, Never, or what the file says
+    reason: str  # as in an SRDF: Adjacent, Always, Never, or what the file says
 
 
 @dataclass(frozen=True)
 class LinkGeometry:
     """One convex piece of a link."""
 
-    name: str  # As in the URDF, e.g. ``panda_link5_0``
-    link: int  # Pose row that carries it: 0 is the world, j + 1 joint j
+    name: str  # as in the URDF, e.g. ``panda_link5_0``
+    link: int  # pose row that carries it: 0 is the world, j + 1 joint j
     T_link_geometry: np.ndarray  # (4, 4)
     vertices: np.ndarray  # (n, 3) corners of the hull in the geometry frame [m]
 
 
-# How fast joints may move and how hard they may speed up.
-SLOW = 0.1  # of the limits: 0.2 rad/s on the Panda, the pace of first tries on a real arm
+SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s on the Panda
 PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2], data sheet; velocities: its URDF
 
 
@@ -68,7 +67,7 @@ class JointLimits:
 def positive_per_joint(
     what: str, values: float | Sequence[float] | np.ndarray, joint_names: Sequence[str], unit: str
 ) -> np.ndarray:
-    """Finite positive numbers (n,), one a joint; a single number serves all joints."""
+    """Finite positive numbers (n,), one a joint; a single number is used for all joints."""
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
@@ -96,20 +95,20 @@ class Robot:
     Build it with `panda`, `load_robot` or `with_articulated_object`.
     """
 
-    name: str  # Name of the model
-    source: dict  # What a problem file says to get this robot back
-    model: pin.Model  # Of pinocchio
-    collision_model: pin.GeometryModel  # Of pinocchio; meshes replaced by their convex hulls
-    end_effector: str  # Frame whose pose constraints and goals speak of
-    end_effector_link: tuple[int, np.ndarray]
-    """Pose row that carries the end effector, and T_link_frame (4, 4)."""
-    kinematics: Kinematics  # Plain arrays for the kernels
-    links: tuple[LinkGeometry, ...]  # Convex pieces
-    self_collision_pairs: tuple[tuple[int, int], ...]  # Indices into `links` of the pairs that are checked
+    name: str
+    source: dict  # field "robot" of a problem file that loads this robot again
+    model: pin.Model
+    collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
+    end_effector: str  # frame that constraints and goals are about
+    end_effector_link: tuple[
+        int, np.ndarray
+    ]  # pose row that carries the end effector, and T_link_frame (4, 4)
+    kinematics: Kinematics  # arrays for the kernels
+    links: tuple[LinkGeometry, ...]  # convex pieces
+    self_collision_pairs: tuple[tuple[int, int], ...]  # indices into `links` of the pairs that are checked
     left_out_pairs: tuple[LeftOut, ...] = ()
-    """Pairs of links that are not checked against each other, and why."""
-    held_joints: tuple[HeldJoint, ...] = ()  # Joints of the URDF that planning does not move
-    acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None where nobody gave them
+    held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
+    acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
     _data: pin.Data = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -149,10 +148,7 @@ class Robot:
 
     @cached_property
     def kinematics_digest(self) -> str:
-        """Name of what moves how: equal for robots with the same joints, placements, axes and limits.
-
-        What weights were trained for. Hands, fingers and collision shapes do not matter. Equal in every process.
-        """
+        """Hash of joint names, placements, axes and limits: what weights are trained for; no collision shapes."""
         k = self.kinematics
         digest = hashlib.sha256("\n".join(self.joint_names).encode())
         for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):
@@ -177,7 +173,7 @@ class Robot:
         return float(max(ends))
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """T_world_frame (4, 4) by pinocchio; the end effector unless another frame is named."""
+        """T_world_frame (4, 4) by pinocchio, of the end effector or the named frame."""
         return self.poses(np.asarray(q)[None], frame)[0]
 
     def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
@@ -215,9 +211,9 @@ class Robot:
         return rng.uniform(self.lower, self.upper, (count, self.dof))
 
 
-# From pinocchio's model to the plain arrays of the kernels, in joint frames whose z is the joint axis.
+# From pinocchio's model to the arrays of the kernels, whose joint frames have the joint axis as z.
 def axis_frames(model: pin.Model) -> list[np.ndarray]:
-    """Per pose row, the rotation (3, 3) that turns pinocchio's joint frame so that its z is the joint axis."""
+    """Rotation (3, 3) of each pose row that turns pinocchio's joint frame so that its z is the joint axis."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     frames = [np.eye(3)]
@@ -237,9 +233,7 @@ def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
     placements = [model.jointPlacements[j + 1] for j in range(n)]
     moves = np.zeros((n, n + 1), dtype=bool)
     for k in range(1, n + 1):
-        for j in model.supports[k]:
-            if j > 0:
-                moves[j - 1, k] = True
+        moves[[j - 1 for j in model.supports[k] if j > 0], k] = True
     return Kinematics(
         parent=parent,
         rotation=np.array([frames[parent[j]].T @ placements[j].rotation @ frames[j + 1] for j in range(n)]),

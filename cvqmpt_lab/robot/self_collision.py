@@ -1,10 +1,10 @@
-"""Which pairs of links are checked against each other: as an SRDF says, or found by sampling and kept as one.
+"""Which pairs of links are checked against each other: by an SRDF, or found by sampling and cached as one.
 
-Without an SRDF, a pair is left out when its links are neighbours, when they overlap in nearly every random
-configuration, or when in none they come closer than `NEAR`. The result depends on the robot alone. It is written as
-an SRDF to the user's cache folder, from which `cvqmpt robot --srdf-out` copies it.
+Without an SRDF, a pair is left out if its links are neighbours, if they overlap in nearly every random
+configuration, or if they come closer than `NEAR` in none. The result depends on the robot alone.
 """
 
+import contextlib
 import hashlib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
@@ -20,15 +20,14 @@ from cvqmpt_lab.files import cache_folder, make_folder, read_text, write_text
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry
 
-SAMPLES = 2000  # Random configurations that decide
-NEAR = 0.02  # [m] A pair that comes so near in one of them is checked
-ALWAYS = 0.95
-"""Share of them in which the hulls of two links overlap that overlap by how they were drawn, not posed."""
-SPREAD = 0.15  # By which the share among `CHUNK` of them may be smaller: five standard deviations
-CHUNK = 50  # Configurations after which pairs that are decided are dropped
-VERSION = b"3"  # Of the rule: another number forgets what is in the cache
+SAMPLES = 2000  # random configurations
+NEAR = 0.02  # [m] a pair that comes so near in one of them is checked
+ALWAYS = 0.95  # share of them in which two hulls overlap "always": because of their shapes, not of the configuration
+SPREAD = 0.15  # by which the share among `CHUNK` of them may be smaller: five standard deviations
+CHUNK = 50  # configurations after which pairs that are decided are dropped
+VERSION = b"3"  # of the rule; another number makes cached files invalid
 
-Pair = tuple[str, str]  # Names of two links
+Pair = tuple[str, str]  # names of two links
 
 
 def left_out_pairs(
@@ -38,13 +37,7 @@ def left_out_pairs(
     kinematics: Kinematics,
     srdf: Path | None,
 ) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF leaves out; without one, those of the cache, or found by sampling and put there.
-
-    Raises
-    ------
-    InvalidInputError
-        For an SRDF that cannot be read.
-    """
+    """The pairs that an SRDF leaves out; without one, the cached ones, or found by sampling and cached."""
     if srdf is not None:
         return read_srdf(srdf)
     cached = cache_file(model, links)
@@ -52,16 +45,14 @@ def left_out_pairs(
         return read_srdf(cached)
     except InvalidInputError:  # not there yet, or not whole
         found = sampled_pairs(model, geometry, links, kinematics)
-    try:
+    with contextlib.suppress(InvalidInputError):  # no writable cache: sampled again the next time
         make_folder(cached.parent)
         write_text(cached, srdf_text(model.name, found))
-    except InvalidInputError:  # sampled again the next time
-        pass
     return found
 
 
 def cache_file(model: pin.Model, links: Sequence[LinkGeometry]) -> Path:
-    """Where the sampled pairs of a robot are kept; another placement, limit or corner is another file."""
+    """The file for the sampled pairs of a robot; its name depends on placements, limits and corners."""
     digest = hashlib.sha256(VERSION)
     for placement in model.jointPlacements:
         digest.update(placement.homogeneous.tobytes())
@@ -70,9 +61,8 @@ def cache_file(model: pin.Model, links: Sequence[LinkGeometry]) -> Path:
         digest.update(piece.T_link_geometry.tobytes() + np.sort(piece.vertices, axis=0).tobytes())
     digest.update(f"{list(model.parents)} {[j.shortname() for j in model.joints]}".encode())
     digest.update(np.concatenate([model.lowerPositionLimit, model.upperPositionLimit]).tobytes())
-    return (
-        cache_folder() / "self_collision" / f"{model.name.replace('/', '_')}-{digest.hexdigest()[:16]}.srdf"
-    )
+    name = f"{model.name.replace('/', '_')}-{digest.hexdigest()[:16]}.srdf"
+    return cache_folder() / "self_collision" / name
 
 
 def link_of_piece(model: pin.Model, item: pin.GeometryObject) -> str:
@@ -83,7 +73,7 @@ def link_of_piece(model: pin.Model, item: pin.GeometryObject) -> str:
 def checked_pairs(
     model: pin.Model, geometry: pin.GeometryModel, left_out: Sequence[LeftOut]
 ) -> tuple[tuple[int, int], ...]:
-    """Keep in the geometry model the pairs that are checked; their indices."""
+    """Set the pairs that the geometry model checks; return their indices."""
     skipped = {frozenset((pair.first, pair.second)) for pair in left_out}
     names = [link_of_piece(model, item) for item in geometry.geometryObjects]
     geometry.addAllCollisionPairs()
@@ -98,12 +88,17 @@ def checked_pairs(
 def sampled_pairs(
     model: pin.Model, geometry: pin.GeometryModel, links: Sequence[LinkGeometry], kinematics: Kinematics
 ) -> tuple[LeftOut, ...]:
-    """Pairs of links to leave out, by the rule above; the same for the same robot."""
+    """Pairs of links to leave out, by the rule at the top of this file."""
     pieces: dict[str, list[int]] = {}
     for k, item in enumerate(geometry.geometryObjects):
         pieces.setdefault(link_of_piece(model, item), []).append(k)
     every = list(combinations(pieces, 2))
-    reasons = {pair: "Adjacent" for pair in every if _adjacent(model, geometry, pieces, pair)}
+    joints = {name: geometry.geometryObjects[indices[0]].parentJoint for name, indices in pieces.items()}
+    reasons = {}
+    for pair in every:
+        a, b = joints[pair[0]], joints[pair[1]]
+        if a == b or model.parents[a] == b or model.parents[b] == a:
+            reasons[pair] = "Adjacent"
     pairs = [pair for pair in every if pair not in reasons]
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     states = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, model.nq))
@@ -118,14 +113,6 @@ def sampled_pairs(
     reasons |= dict.fromkeys(apart, "Never")
     reasons |= {pair: "Always" for pair, hits in touching.items() if hits.mean() >= ALWAYS}
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
-
-
-def _adjacent(
-    model: pin.Model, geometry: pin.GeometryModel, pieces: Mapping[str, list[int]], pair: Pair
-) -> bool:
-    """Whether two links are on one joint, or on a joint and its parent."""
-    a, b = (geometry.geometryObjects[pieces[name][0]].parentJoint for name in pair)
-    return a == b or model.parents[a] == b or model.parents[b] == a
 
 
 def _balls(
@@ -144,13 +131,13 @@ def _balls(
 
 @dataclass(frozen=True)
 class _Sampling:
-    """Which links come close in which random states."""
+    """The check of pairs of links in random states."""
 
     model: pin.Model
     geometry: pin.GeometryModel
-    pieces: Mapping[str, list[int]]  # Indices of the pieces of each link
+    pieces: Mapping[str, list[int]]  # indices of the pieces of each link
     states: np.ndarray  # (k, n) [rad or m]
-    balls: tuple[np.ndarray, np.ndarray]  # Of `_balls`: what is far apart need not be looked at closely
+    balls: tuple[np.ndarray, np.ndarray]  # of `_balls`: pieces whose balls are apart need no exact check
 
     def close(self, pairs: Sequence[Pair], rows: np.ndarray, margin: float) -> dict[Pair, np.ndarray]:
         """Whether each pair of links is closer than a margin [m], in each of the states `rows`."""
@@ -176,7 +163,7 @@ class _Sampling:
         return dict(zip(pairs, hits.T, strict=True))
 
 
-# SRDF files: pairs of links that are not checked against each other.
+# SRDF files.
 def read_srdf(path: Path) -> tuple[LeftOut, ...]:
     """The pairs that an SRDF file leaves out; InvalidInputError names a file that is none."""
     text = read_text(path, "SRDF file")

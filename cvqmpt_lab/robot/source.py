@@ -1,12 +1,13 @@
-"""What a problem file says of its robot: a name or a URDF, and what of it is to be planned for."""
+"""Field "robot" of a problem file: a name or a URDF, with options. Also the arms that have a name."""
 
 import os
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
 
 from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.codec.plain import from_plain, mapping
@@ -15,8 +16,7 @@ from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.robot import PANDA_ACCELERATION
 
 ARTICULATED = "articulated"
-FILES = ("urdf", "srdf")
-WHERE = "robot"  # How errors call field 'robot' of a problem file
+WHERE = "robot"  # the field's name in errors
 
 
 class PerJoint:
@@ -39,31 +39,33 @@ class PerJoint:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotOptions:
-    """What may be said of any robot."""
+    """Options of any robot."""
 
-    srdf: str | None = None
-    """File with the link pairs to skip; None: they are found by sampling, unless an arm with a name brings one."""
-    locked: Mapping[str, float] = field(default_factory=dict)  # Joints to fix, with their values [rad or m]
-    package_dirs: tuple[str, ...] = ()  # Folders in which ``package://`` mesh paths are looked up first
-    acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
-    """(n,), or () for all joints alike [rad/s^2 or m/s^2]; only timing a path needs them."""
-    base: Pose | None = None  # (4, 4), pose of the URDF's base link in the world; None: at its origin
+    srdf: str | None = (
+        None  # file with the link pairs to skip; None: the named arm's own, or found by sampling
+    )
+    locked: Mapping[str, float] = field(default_factory=dict)  # joints to fix, with their values [rad or m]
+    package_dirs: tuple[str, ...] = ()  # folders in which ``package://`` mesh paths are looked up first
+    acceleration_limits: Annotated[FloatArray, PerJoint()] | None = (
+        None  # (n,) or () [rad/s^2 or m/s^2], for timing
+    )
+    base: Pose | None = None  # (4, 4), pose of the URDF's base link in the world; None: the identity
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UrdfRobot(RobotOptions):
     """A robot of a URDF file."""
 
-    urdf: str  # The robot's description
-    end_effector: str  # Frame that constraints and goals speak of
+    urdf: str  # path of the file
+    end_effector: str  # frame that constraints and goals are about
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NamedRobot(RobotOptions):
-    """A robot that has a name; what is said beside it counts instead of what the name stands for."""
+    """A robot with a name; options given here replace those of the name."""
 
-    name: str  # A key of `ARMS`
-    end_effector: str | None = None  # Frame that constraints and goals speak of, instead of the usual one
+    name: str  # a key of `ARMS`
+    end_effector: str | None = None  # frame that constraints and goals are about, instead of the usual one
     finger_opening: float | None = None  # [m] of each finger of the Panda
 
     @property
@@ -97,11 +99,11 @@ class NamedRobot(RobotOptions):
 
 
 def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source whose relative paths are seen from a folder; what is no object is left to `read_source`."""
+    """A robot's source with paths relative to a folder made whole; `read_source` refuses what is no object."""
     if not isinstance(source, Mapping):
         return source
     files: dict[str, Any] = {
-        name: str(folder / source[name]) for name in FILES if isinstance(source.get(name), str)
+        name: str(folder / source[name]) for name in ("urdf", "srdf") if isinstance(source.get(name), str)
     }
     folders = source.get("package_dirs")
     if isinstance(folders, list) and all(isinstance(path, str) for path in folders):
@@ -110,15 +112,7 @@ def seen_from(folder: Path, source: Any) -> Any:
 
 
 def read_source(source: Mapping[str, Any]) -> UrdfRobot:
-    """The files and options that a robot's source names.
-
-    Raises
-    ------
-    InvalidInputError
-        For a field that is unknown, missing or of the wrong type.
-    UnknownChoiceError
-        For a name that no arm has; the message lists them.
-    """
+    """The files and options of a robot's source; errors name the field, or list the arms."""
     values = {name: value for name, value in mapping(source, WHERE).items() if name != ARTICULATED}
     if "urdf" in values:
         return from_plain(UrdfRobot, values, WHERE)
@@ -128,18 +122,16 @@ def read_source(source: Mapping[str, Any]) -> UrdfRobot:
 
 
 # Arms that have a name: fixed-base arms whose descriptions the package example-robot-data installs.
-FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, its largest
+FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, the largest
 
 
-@dataclass(frozen=True)
-class NamedArm:
-    """Where an arm's description lies, and what of it is an arm."""
+class NamedArm(NamedTuple):
+    """The files of an arm, below the package's folder of robots, and its options."""
 
-    urdf: str  # Path below the package's folder of robots
-    end_effector: str  # Frame that constraints and goals speak of
-    srdf: str | None = None  # Path of the file with the pairs to skip, likewise; None: found by sampling
-    locked: Mapping[str, float] = field(default_factory=dict)
-    """Joints held at other values than the nearest to 0, or between base and end effector [rad or m]."""
+    urdf: str
+    end_effector: str  # frame that constraints and goals are about
+    srdf: str | None = None  # file with the pairs to skip; None: found by sampling
+    locked: Mapping[str, float] = MappingProxyType({})  # [rad or m], as `RobotOptions.locked`
     acceleration_limits: tuple[float, ...] | None = None  # [rad/s^2] of the maker's data sheet
 
 
@@ -184,14 +176,14 @@ ARMS: Mapping[str, NamedArm] = {
 }
 
 
-# Where the files of a robot lie: its meshes, and the descriptions that example-robot-data installs.
+# Search for the files of a robot.
 EXAMPLES = "example-robot-data"
 ROS_VARIABLE = "ROS_PACKAGE_PATH"
 SCHEME = "package://"
 
 
 def example_robots() -> Path:
-    """The folder of robot descriptions that the wheel of example-robot-data installed."""
+    """The folder of robots that example-robot-data installed."""
     robots = _installed_share() / EXAMPLES / "robots"
     if not robots.is_dir():
         raise InvalidInputError(f"robots by name need their descriptions: pip install {EXAMPLES}")
@@ -199,19 +191,13 @@ def example_robots() -> Path:
 
 
 def _installed_share() -> Path:
-    """The share folder that holds example-robot-data, whether or not it does."""
+    """The share folder in which example-robot-data is, or would be, installed."""
     shares = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path]
     return next((share for share in shares if (share / EXAMPLES).is_dir()), Path(sys.prefix) / "share")
 
 
 def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]) -> None:
-    """Replace the names of collision meshes in a URDF by absolute paths.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming a mesh that is in none of the places where its package may lie, and these places.
-    """
+    """Replace the names of collision meshes in a URDF by absolute paths; errors name a mesh that is not found."""
     for mesh in root.findall("link/collision/geometry/mesh"):
         name = mesh.get("filename", "")
         if not name.startswith(SCHEME):
@@ -225,8 +211,10 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
 
 
 def _in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]) -> Path:
-    for folder in (*package_dirs, *_ros_folders(), *urdf.resolve().parents, _installed_share()):
-        for path in _inside(Path(folder), package, rest):
+    ros_folders = [Path(name) for name in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if name]
+    for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
+        inside = [folder / package / rest]  # the folder holds the package, or is it
+        for path in [*inside, folder / rest] if folder.name == package else inside:
             if path.is_file():
                 return path
     given = ", ".join(str(folder) for folder in package_dirs) or "not given"
@@ -235,14 +223,3 @@ def _in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path
         f"{ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders above {urdf.resolve().parent}; "
         f"give --package-dir DIR, the folder that holds {package}"
     )
-
-
-def _inside(folder: Path, package: str, rest: str) -> Iterator[Path]:
-    """Where a file of a package may lie, when `folder` holds the package or is it."""
-    yield folder / package / rest
-    if folder.name == package:
-        yield folder / rest
-
-
-def _ros_folders() -> list[Path]:
-    return [Path(folder) for folder in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if folder]

@@ -1,4 +1,4 @@
-"""How far the points of links can move while joints change: from Jacobians and a ball around each link."""
+"""Bounds on the motion of links while joints change, by Jacobians and a ball around each link."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from cvqmpt_lab.robot.robot import Robot
 
 
 class Sweep:
-    """How far points of a robot can move while its configuration stays in a hull; many hulls at once."""
+    """Bounds on the motion of points of a robot whose configuration stays in a convex hull; many hulls at once."""
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
-        """links: joints whose motion in the world is asked for; pairs of pieces are the geometry's."""
+        """links: joints of `in_world`; `between` is about the collision pairs of the geometry."""
         self._model, self._data = robot.model, robot.model.createData()
         objects, joints = geometry.geometryObjects, robot.model.njoints
         support = np.zeros((joints, robot.dof), dtype=bool)
@@ -34,10 +34,7 @@ class Sweep:
         self._pair = pair.reshape(-1)
 
     def in_world(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, l) [m] on the motion of any point of each link, from where it is at q (k, n).
-
-        hulls: (k, c, n), corners of a hull of configurations around each; the bounds hold for all in it.
-        """
+        """Bounds (k, l) [m] on the motion of any point of each link from q (k, n), in hulls with corners (k, c, n)."""
         return self._in_world.bounds(*self._posed(q), hulls - q[:, None])
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
@@ -57,7 +54,7 @@ class Sweep:
 
 
 class _Motions:
-    """Some links, each moved by some joints while the others stand still."""
+    """Links, each moved by some joints while the others stand still."""
 
     def __init__(self, links: np.ndarray, moving: np.ndarray, balls: np.ndarray, slides: np.ndarray) -> None:
         """links: (l,) joints that carry them. moving: (l, n). balls: (joints, 4), around what each carries."""
@@ -65,11 +62,11 @@ class _Motions:
         self._turning = (moving & ~slides).astype(float)
 
     def bounds(self, columns: np.ndarray, centres: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """How far any point of each link can move (k, l) [m], changes (k, c, n) leading to corners of hulls.
+        """Bounds (k, l) [m] on the motion of any point of each link, changes (k, c, n) leading to corners of hulls.
 
-        To first order a point moves as the Jacobian says. The rest is half the second derivative along a straight
-        line. Of two joints i and j further out, it holds at most `lever_j`, how fast j moves the point, for every turn
-        of i: d/dq_i of (axis_j x (point - origin_j)) is a rotation of that. A lever grows as the joints behind it move.
+        The first-order part is the Jacobian's, |J dq|; the rest is half the second derivative along a straight line.
+        For joints i and j, j further out, d/dq_i of (axis_j x (point - origin_j)) is a rotation of that vector, so its
+        length is at most lever_j, the speed of the point per turn of j. A lever grows as the joints after it move.
         """
         if len(self._radii) == 0:
             return np.zeros((len(changes), 0))
@@ -104,11 +101,7 @@ def _ball_around(items: Sequence[pin.GeometryObject]) -> np.ndarray:
     """Centre in the joint's frame and radius of a ball that holds pieces, (4,) [m]."""
     if not items:
         return np.zeros(4)
-    corners = np.concatenate([_corners(item) for item in items])
+    placed = [(enclosing_points(item.geometry), item.placement) for item in items]
+    corners = np.concatenate([points @ T.rotation.T + T.translation for points, T in placed])
     centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     return np.append(centre, np.linalg.norm(corners - centre, axis=1).max())
-
-
-def _corners(item: pin.GeometryObject) -> np.ndarray:
-    """Points (k, 3) in the joint's frame whose convex hull holds a piece [m]."""
-    return enclosing_points(item.geometry) @ item.placement.rotation.T + item.placement.translation

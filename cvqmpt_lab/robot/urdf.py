@@ -1,4 +1,4 @@
-"""What a URDF file says of links and joints, read before pinocchio sees it, so that errors name all offenders."""
+"""Links, joints and collision bodies of a URDF, checked before pinocchio parses it: its errors name too little."""
 
 import copy
 import math
@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
+from typing import NamedTuple
 
 from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import read_text, require_regular_file
 
-TURN = 2.0 * math.pi
-"""[rad] A continuous joint turns by up to this much either way: a whole turn more would be the same posture."""
-LEAST_ARM = 3  # Joints, after which a link that carries several moving ones is taken for a hand
-OFF_CHAIN = "not between the base and the end effector"
-ASKED = "as asked for"
+TURN = 2.0 * math.pi  # [rad] a continuous joint turns by up to this much either way
+LEAST_ARM = 3  # joints after which a link that carries several moving ones is taken for a hand
 
 
 @dataclass(frozen=True)
@@ -27,13 +25,13 @@ class Joint:
 
     name: str
     kind: str  # "revolute", "prismatic", "continuous", "fixed", "floating" or "planar"
-    parent: str  # Link that it stands on
-    child: str  # Link that it moves
-    lower: float  # [rad or m]; NaN where the file states none
-    upper: float  # [rad or m]; NaN where the file states none
-    mimics: str | None  # Joint whose value it takes
-    multiplier: float  # Times the value of that joint
-    offset: float  # [rad or m] Plus this
+    parent: str  # link
+    child: str  # link
+    lower: float  # [rad or m]; nan if the file states none
+    upper: float  # [rad or m]; nan if the file states none
+    mimics: str | None  # joint whose value, times `multiplier` plus `offset`, it takes
+    multiplier: float
+    offset: float  # [rad or m]
 
     @property
     def hindrance(self) -> str | None:
@@ -53,8 +51,7 @@ class Joint:
         return min(max(0.0, self.lower), self.upper) if self.lower <= self.upper else 0.0
 
 
-@dataclass(frozen=True)
-class HeldJoint:
+class HeldJoint(NamedTuple):
     """A joint that planning does not move."""
 
     name: str
@@ -64,7 +61,7 @@ class HeldJoint:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """Links and joints of a file, of which each but one link is the child of exactly one joint."""
+    """A file whose links and joints form a tree."""
 
     path: Path
     root: ElementTree.Element
@@ -73,7 +70,7 @@ class Urdf:
 
     @cached_property
     def base(self) -> str:
-        """The link that no joint moves."""
+        """The root link."""
         children = {joint.child for joint in self.joints.values()}
         return next(link for link in self.links if link not in children)
 
@@ -111,7 +108,7 @@ class Urdf:
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a URDF file; InvalidInputError names what is no tree of links and joints in it."""
+    """Read a URDF file; InvalidInputError if its links and joints are no tree."""
     try:
         root = ElementTree.fromstring(read_text(require_regular_file(path, "URDF"), "URDF"))
     except ElementTree.ParseError as error:
@@ -167,7 +164,7 @@ def _joint(element: ElementTree.Element, path: Path) -> Joint:
 
 
 def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -> None:
-    """Names used twice, links that do not exist, two roots or none."""
+    """Refuse names used twice, links that do not exist, two roots or none, and rings."""
     for what, listed in (("link", links), ("joint", [joint.name for joint in joints])):
         twice = [name for name, count in Counter(listed).items() if count > 1]
         if twice:
@@ -207,24 +204,21 @@ def held_joints(
 ) -> tuple[HeldJoint, ...]:
     """The joints that planning does not move, with their values: those locked, and those off the chain.
 
-    Raises
-    ------
-    UnknownChoiceError
-        For an end effector or a locked joint that is not in the file.
-    InvalidInputError
-        Naming every joint that can be neither moved nor held without being asked, and the options that hold them.
+    InvalidInputError names every joint that can be neither moved nor held, and the options that hold them.
     """
     if end_effector not in urdf.links:
         raise UnknownChoiceError("end-effector frame", end_effector, urdf.links)
     values = {name: _locked_value(urdf, name, value) for name, value in locked.items()}
-    held = {name: HeldJoint(name, value, ASKED) for name, value in values.items()}
+    held = {name: HeldJoint(name, value, "as asked for") for name, value in values.items()}
     chain = {joint.name for joint in urdf.chain(end_effector)}
     followers = []
     for joint in (urdf.joints[name] for name in urdf.movable if name not in held):
         if joint.mimics is not None:
             followers.append(joint)
         elif joint.name not in chain:
-            held[joint.name] = HeldJoint(joint.name, joint.neutral, OFF_CHAIN)
+            held[joint.name] = HeldJoint(
+                joint.name, joint.neutral, "not between the base and the end effector"
+            )
         elif joint.kind == "floating" and base_given:
             held[joint.name] = HeldJoint(joint.name, 0.0, "the base is given")
     for joint in followers:
@@ -276,25 +270,17 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
     return root
 
 
-# Collision bodies and placements of a URDF, read before the parser that leaves out what it does not understand.
-SIZES: Mapping[str, Mapping[str, int]] = {
+# Collision bodies: pinocchio leaves out those that it does not understand, and planning would go on without them.
+SIZES: Mapping[str, Mapping[str, int]] = {  # numbers [m] in each attribute of a shape
     "box": {"size": 3},
     "cylinder": {"radius": 1, "length": 1},
     "sphere": {"radius": 1},
     "mesh": {},
 }
-"""Shapes, with how many positive numbers [m] each of their attributes must be."""
 
 
 def check_bodies(root: ElementTree.Element, path: Path) -> None:
-    """Refuse a link one of whose collision bodies is not understood, as planning would go on without it, and a joint
-    whose origin or axis is none.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError
-        Naming the link or joint and what is wrong.
-    """
+    """Refuse collision bodies, origins and axes that are malformed; errors name the link or joint."""
     for link in root.findall("link"):
         for body in link.findall("collision"):
             with located(f"link {shown(link.get('name'))} of {path.name}, collision"):
@@ -332,7 +318,7 @@ def _check_origins(element: ElementTree.Element) -> None:
 
 
 def _numbers(element: ElementTree.Element, name: str, count: int) -> list[float]:
-    """So many finite numbers of an attribute."""
+    """The `count` finite numbers of an attribute."""
     text = element.get(name, "")
     try:
         numbers = [float(word) for word in text.split()]

@@ -235,7 +235,7 @@ def test_bad_objects_are_refused(panda, world):
         ({"velocity": 0.0}, "velocity is 0.0"),
         ({"T_world_joint": [[1.0]]}, "T_world_joint has shape"),
         ({"may_touch": ["x"]}, "may_touch.*must be a list"),
-        ({"casing": data["parts"]}, "two pieces called"),
+        ({"casing": data["parts"]}, "occurs twice"),
         ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "m thick"),
         ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": flat}], "may_touch": []}, "0 m thick"),
         ([1], "must be an object"),
