@@ -1,7 +1,8 @@
-"""What is plotted along a path: each bounded part of the constraint against its bounds, clearance, joints."""
+"""Plots along a path: each bounded entry of the constraint with its bounds, clearance, joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +14,11 @@ LEGEND_ROOM = 0.45  # of a plot's height, kept free above its curves
 BOUND_COLOUR: Colour = (0.80, 0.20, 0.20)
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
+class Curve(NamedTuple):
     """One line of a plot."""
 
     values: np.ndarray  # (m,), one for each state of the path
-    colour: Colour | None = None  # None for one that the viewer chooses
+    colour: Colour | None = None  # None: the viewer chooses
     width: float = 2.0  # [pixels]
 
 
@@ -26,13 +26,13 @@ class Curve:
 class Plot:
     """Curves over the states of a path."""
 
-    name: str  # Of its entity, without spaces
-    title: str  # For people, with the unit
-    curves: Mapping[str, Curve]  # By the name that the legend gives them
+    name: str  # of its entity, without spaces
+    title: str  # with the unit
+    curves: Mapping[str, Curve]  # by their names in the legend
 
     @property
     def range(self) -> tuple[float, float]:
-        """Of the vertical axis: all curves, and above them room for the legend."""
+        """Of the vertical axis, with room for the legend above the curves."""
         values = np.concatenate([curve.values for curve in self.curves.values()])
         values = values[np.isfinite(values)]
         low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
@@ -64,7 +64,7 @@ def bound_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
 
 
 def clearance_plot(problem: PlanningProblem, states: np.ndarray) -> Plot:
-    """Smallest distance between any two pieces that must not touch; none is drawn where there is no such pair."""
+    """Smallest distance between any two pieces that must not touch."""
     checker = problem.collision_checker()
     distances = np.array([1e3 * checker.clearance(q) for q in states])
     curves = {

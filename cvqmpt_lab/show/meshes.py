@@ -1,4 +1,4 @@
-"""What pictures and recordings show, as coloured triangles: shapes, scenes, the robot, curves."""
+"""Coloured triangles of shapes, scenes, the robot and curves; viewpoints, and a z-buffer rasteriser in numpy."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +26,9 @@ from cvqmpt_lab.scene.shapes import (
 
 Colour = tuple[float, float, float]
 
-KIND_COLOURS: Mapping[str, Colour] = {
+KIND_COLOURS: Mapping[
+    str, Colour
+] = {  # of scene objects with a word that begins so; the first that fits counts
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
     "handle": (0.52, 0.54, 0.57),
@@ -41,7 +43,6 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "mustard": (0.93, 0.78, 0.22),
     "can": (0.86, 0.24, 0.20),
 }
-"""Colour of the scene objects in whose name a word begins so; the first that fits counts."""
 OTHER_COLOUR: Colour = (0.87, 0.77, 0.62)
 ROBOT_COLOUR: Colour = (0.90, 0.90, 0.92)
 GHOST_COLOUR: Colour = (0.25, 0.50, 0.90)
@@ -60,7 +61,7 @@ class Mesh:
     corners: np.ndarray  # (f, 3, 3) [m]
     normals: np.ndarray  # (f, 3, 3), of the surface at each corner
     colours: np.ndarray  # (f, 3), each channel in [0, 1]
-    piece: np.ndarray  # (f,), which piece a triangle belongs to; outlines run around pieces
+    piece: np.ndarray  # (f,), number of the piece that a triangle belongs to; pieces have outlines
 
     def placed(self, T: np.ndarray, colour: Colour) -> "Mesh":
         """The same triangles moved by T (4, 4), in one colour."""
@@ -71,16 +72,16 @@ class Mesh:
 
 
 def colour_of(name: str) -> Colour:
-    """Colour of a scene object, by the kind its name tells."""
+    """Colour of a scene object, by its name."""
     words = re.split("[^a-z]+", name.lower())
-    kinds = KIND_COLOURS.items()
-    return next(
-        (colour for kind, colour in kinds if any(word.startswith(kind) for word in words)), OTHER_COLOUR
-    )
+    for kind, colour in KIND_COLOURS.items():
+        if any(word.startswith(kind) for word in words):
+            return colour
+    return OTHER_COLOUR
 
 
 def is_ground(item: SceneObject) -> bool:
-    """Whether an object is a floor: a box, not an obstacle, of which only the top is worth showing."""
+    """Whether an object is a floor: a box that is no obstacle."""
     return isinstance(item.shape, Box) and not item.obstacle
 
 
@@ -108,7 +109,7 @@ def hull_mesh(vertices: np.ndarray) -> Mesh:
 
 
 def shape_mesh(shape: Shape) -> Mesh:
-    """Triangles of any shape in its own frame; balls and cylinders are faceted."""
+    """Triangles of a shape in its own frame; balls and cylinders have facets."""
     match shape:
         case Cylinder(radius, height):
             return hull_mesh(prism_vertices(radius, 0.5 * height, sides=32))
@@ -116,9 +117,9 @@ def shape_mesh(shape: Shape) -> Mesh:
             return hull_mesh(radius * _sphere_points(200))
         case PointCloud(points, radius):
             every = -(-len(points) // CLOUD_BALLS)
-            return _balls(points[::every], radius * np.sqrt(every), sphere_points=12)
+            return _copies(hull_mesh(radius * np.sqrt(every) * _sphere_points(12)), points[::every])
         case OccupancyMap():
-            return _boxes(*map_boxes(shape))
+            return _copies(hull_mesh(shape_vertices(Box((1.0, 1.0, 1.0)))), *map_boxes(shape))
         case Box() | ConvexMesh():
             return hull_mesh(shape_vertices(shape))
 
@@ -178,22 +179,14 @@ def beads(points: np.ndarray, colour: Colour) -> Mesh:
     travelled = travelled_along(points)
     at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / BEAD_SPACING))
     centres = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
-    return _balls(centres, BEAD_RADIUS, sphere_points=24).placed(np.eye(4), colour)
+    return _copies(hull_mesh(BEAD_RADIUS * _sphere_points(24)), centres).placed(np.eye(4), colour)
 
 
-def _boxes(centres: np.ndarray, edges: np.ndarray) -> Mesh:
-    """One mesh of boxes with centres (b, 3) and edges (b, 3) [m]."""
-    box = hull_mesh(shape_vertices(Box((1.0, 1.0, 1.0))))
-    corners = (centres[:, None, None] + edges[:, None, None] * box.corners).reshape(-1, 3, 3)
-    normals = np.tile(box.normals, (len(centres), 1, 1))
-    return Mesh(corners, normals, np.ones((len(corners), 3)), np.zeros(len(corners), dtype=int))
-
-
-def _balls(centres: np.ndarray, radius: float, sphere_points: int) -> Mesh:
-    """One mesh of balls around centres (m, 3) [m]."""
-    ball = hull_mesh(radius * _sphere_points(sphere_points))
-    corners = (centres[:, None, None] + ball.corners).reshape(-1, 3, 3)
-    normals = np.tile(ball.normals, (len(centres), 1, 1))
+def _copies(mesh: Mesh, centres: np.ndarray, scales: np.ndarray | None = None) -> Mesh:
+    """One mesh of copies of another, moved to centres (k, 3) [m], stretched by scales (k, 3) along the axes."""
+    scaled = mesh.corners if scales is None else scales[:, None, None] * mesh.corners
+    corners = (centres[:, None, None] + scaled).reshape(-1, 3, 3)
+    normals = np.tile(mesh.normals, (len(centres), 1, 1))
     return Mesh(corners, normals, np.ones((len(corners), 3)), np.zeros(len(corners), dtype=int))
 
 
@@ -214,9 +207,9 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-# Triangles to pixels: a viewpoint and a z-buffer, in numpy alone.
+# Triangles to pixels.
 NEAR = 0.05  # [m] triangles closer to the camera than this are left out
-SUN_LEFT, SUN_ELEVATION = 0.14, 0.722  # [rad] where the sun stands, seen from the target: left of the eye
+SUN_LEFT, SUN_ELEVATION = 0.14, 0.722  # [rad] of the sun seen from the target, to the left of the eye
 
 
 @dataclass(frozen=True)
@@ -266,7 +259,7 @@ class View:
 
 
 def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
-    """What a camera sees of a mesh in a picture of (rows, columns): the nearest outside at each pixel."""
+    """The pixels of a picture of (rows, columns) in which a mesh is seen; the nearest triangle counts."""
     screen = viewpoint.screen(mesh.corners, shape)
     nearness = 1.0 / np.maximum(screen[..., 2], NEAR)  # linear across a triangle on the screen, unlike depth
     weights, area = _corner_weights(screen[..., :2])

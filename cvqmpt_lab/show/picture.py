@@ -1,28 +1,29 @@
-"""A still picture of a solution, drawn by a small z-buffer rasteriser: no display or graphics library needed.
+"""A still picture of a solution or task, drawn by a small z-buffer rasteriser: no display is needed.
 
-Everything drawn is triangles. The solid layer (scene, robot at the start) gets outlines and shadows; ghosts
-of the robot along the path and at the goal, and the hand's trace, are blended over it.
+The solid layer (scene, robot at the start) has outlines and shadows; ghosts of the robot along the path and at the
+goal, and the hand's trace, are blended over it. Legends and captions stand below the picture.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
     GOAL_COLOUR,
     LOAD_COLOUR,
     ROBOT_COLOUR,
     TRACE_COLOUR,
+    Colour,
     Mesh,
     View,
     Viewpoint,
@@ -36,25 +37,61 @@ from cvqmpt_lab.show.meshes import (
     travelled_along,
 )
 from cvqmpt_lab.show.stage import AZIMUTHS, Picture, Stage, clear_viewpoint, framed, light
-from cvqmpt_lab.show.task_frames import moments, shown
+from cvqmpt_lab.show.task_frames import frames, shown
 from cvqmpt_lab.tasks.solve_task import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import World
 
 SUPERSAMPLING = 2
-HIDDEN = ("walls/right",)  # Scene objects that stand between the usual viewpoint and the robot
+HIDDEN = ("walls/right",)  # scene objects that stand between the usual viewpoint and the robot
 PANEL_GAP = 6  # [pixels] between the pictures of a task
-NAME_LETTERS = 24  # that fit under a picture of a task
+COLUMNS = 3  # of pictures of a task
 LEGEND_SHARE = 0.2  # of a picture's height; pictures too small for their legend have none
+INK, PAPER = (40, 40, 44), (255, 255, 255)
+SMALLEST_FONT = 11  # [pixels]; the font is larger under wide pictures
+LETTERS_ACROSS, NAME_LETTERS = (
+    62,
+    24,
+)  # letters that fit side by side in a legend, and in the caption of a phase
 
 
-@dataclass(frozen=True, eq=False)
-class Layer:
+class Layer(NamedTuple):
     """A translucent mesh."""
 
     mesh: Mesh
     opacity: float
-    opacity_behind: float = 0.0  # Where something solid is in front of it
+    opacity_behind: float = 0.0  # where something solid is in front of it
+
+
+class Label(NamedTuple):
+    """A text under a picture, after a swatch of its colour if it has one."""
+
+    text: str
+    colour: Colour | None = None
+
+
+def strip(labels: Sequence[Label], width: int, letters_across: int = LETTERS_ACROSS) -> np.ndarray:
+    """An image (height, width, 3), 8 bit, of labels in lines, as high as they need."""
+    size = max(SMALLEST_FONT, width // letters_across)
+    font = ImageFont.load_default(size)
+    gap, swatch, line_height = 1.3 * size, 1.3 * size, 1.9 * size
+    x, line, placed = gap / 2, 0, []
+    for label in labels:
+        needed = font.getlength(label.text) + (0 if label.colour is None else swatch)
+        if x + needed > width and x > gap:
+            x, line = gap / 2, line + 1
+        placed.append((label, x, (line + 0.5) * line_height))
+        x += needed + gap
+    image = Image.new("RGB", (width, round((1 + line) * line_height)), PAPER)
+    draw = ImageDraw.Draw(image)
+    for (text, colour), left, middle in placed:
+        if colour is not None:
+            fill, half = tuple(round(255 * part) for part in colour), 0.42 * size
+            box = (left, middle - half, left + 2 * half, middle + half)
+            draw.rounded_rectangle(box, radius=0.2 * size, fill=fill, outline=INK)
+            left += swatch
+        draw.text((left, middle), text, fill=INK, font=font, anchor="lm")
+    return np.array(image)
 
 
 def draw_solution(
@@ -62,55 +99,44 @@ def draw_solution(
     path: Path,
     size: tuple[int, int] = (1200, 800),
     ghosts: int = 4,
-    viewpoint: Viewpoint | None = None,
-    hidden: Sequence[str] = HIDDEN,
     carried: Sequence[Attachment] = (),
 ) -> None:
     """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, the hand's trace, a legend.
 
-    Parameters
-    ----------
-    size: width and height [pixels], legend included.
-    ghosts: number of poses shown between start and goal.
-    viewpoint: None for one from which the motion is seen well.
-    hidden: names of scene objects left out because they stand in the way.
+    size: width and height [pixels], legend included. ghosts: number of poses shown between start and goal.
     carried: what the hand is shown with where the problem does not model it.
-
-    Raises
-    ------
-    InvalidInputError: a size without pixels, or a path that cannot be written.
     """
     if min(size) < 1:
         raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
     problem = with_load(solution.problem, carried)
     states = None if solution.simplified is None else solution.simplified.path.states
-    strip = Strip(_legend(problem, states is not None, ghosts), size[0])
-    legend = [strip.image()] if strip.height < LEGEND_SHARE * size[1] else []
-    height = size[1] - sum(len(part) for part in legend)
-    layers = list(_translucent(problem, states, ghosts))
-    if viewpoint is None:
-        start = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
-        seen = [start, *(layer.mesh for layer in layers[-2:])]
-        viewpoint = clear_viewpoint(seen, scene_meshes(problem, hidden), (size[0], height))
-    stage = stage_of(problem, viewpoint, (size[0], height), hidden)
-    picture = stage.picture(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+    legend = strip(_legend(problem, states is not None, ghosts), size[0])
+    if len(legend) >= LEGEND_SHARE * size[1]:
+        legend = legend[:0]
+    size = (size[0], size[1] - len(legend))
+    layers, start = (
+        list(_translucent(problem, states, ghosts)),
+        robot_meshes(problem, problem.start, ROBOT_COLOUR),
+    )
+    stage = clear_stage(problem, [joined(start), *(layer.mesh for layer in layers[-2:])], size)
+    picture = stage.picture(start)
     for layer in layers:
-        blend(picture, layer, rasterise(layer.mesh, viewpoint, stage.shape), viewpoint)
-    write_png(Path(path), np.concatenate([eight_bit(picture.image), *legend]))
+        blend(picture, layer, rasterise(layer.mesh, stage.viewpoint, stage.shape), stage.viewpoint)
+    write_png(Path(path), np.concatenate([eight_bit(picture.image), legend]))
 
 
 def still_image(
     problem: PlanningProblem,
     q: np.ndarray,
-    size: tuple[int, int] = (900, 600),
-    viewpoint: Viewpoint | None = None,
+    size: tuple[int, int],
+    viewpoint: Viewpoint,
     hidden: Sequence[str] = HIDDEN,
 ) -> np.ndarray:
-    """Colours (height, width, 3), 8 bit, of the scene and the robot at q (n,); what figures are drawn over.
+    """Colours (height, width, 3), 8 bit, of the scene without `hidden` and the robot at q (n,).
 
     `Viewpoint.screen` says where in it a point is.
     """
-    stage = stage_of(problem, viewpoint or Viewpoint(), size, hidden)
+    stage = stage_of(problem, viewpoint, size, hidden)
     return eight_bit(stage.picture(robot_meshes(problem, q, ROBOT_COLOUR)).image)
 
 
@@ -123,20 +149,28 @@ def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (12
 
 
 def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> PlanningProblem:
-    """The problem with something in the hand, where it has nothing there itself."""
+    """The problem with `carried` in the hand, if it has nothing there itself."""
     return problem if problem.attachments else replace(problem, attachments=tuple(carried))
 
 
 def stage_of(
     problem: PlanningProblem, viewpoint: Viewpoint, size: tuple[int, int], hidden: Sequence[str] = HIDDEN
 ) -> Stage:
-    """The problem's scene, for pictures of (width, height) pixels that `eight_bit` makes."""
+    """The problem's scene without `hidden`, for pictures of (width, height) pixels that `eight_bit` makes."""
     shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
     return Stage(scene_meshes(problem, hidden), ground_height(problem), viewpoint, shape)
 
 
+def clear_stage(
+    problem: PlanningProblem, seen: Sequence[Mesh], size: tuple[int, int], moving: Iterable[str] = ()
+) -> Stage:
+    """The scene without objects that move, from a viewpoint that shows most of the meshes `seen`."""
+    viewpoint = clear_viewpoint(seen, scene_meshes(problem, HIDDEN), size)
+    return stage_of(problem, viewpoint, size, (*HIDDEN, *moving))
+
+
 def blend(picture: Picture, layer: Layer, view: View, viewpoint: Viewpoint) -> None:
-    """Lay a translucent mesh, of which `rasterise` gave a view, over a picture."""
+    """Blend a translucent mesh, of which `rasterise` gave the view, over a picture."""
     at = view.rows, view.columns
     share = np.where(view.depth < picture.depth[at] - 1e-3, layer.opacity, layer.opacity_behind)[:, None]
     sky, sunlight = light(view.normals, viewpoint)
@@ -152,7 +186,7 @@ def eight_bit(image: np.ndarray) -> np.ndarray:
 
 
 def _translucent(problem: PlanningProblem, states: np.ndarray | None, ghosts: int) -> Iterator[Layer]:
-    """What is blended over the solid layer; states (m, n) of the path, or None."""
+    """The layers over the solid one; states (m, n) of the path, or None."""
     if states is None:
         for goal in problem.goals[:1]:
             yield Layer(joined(robot_meshes(problem, goal, GOAL_COLOUR)), 0.5)
@@ -166,7 +200,6 @@ def _translucent(problem: PlanningProblem, states: np.ndarray | None, ghosts: in
 
 
 def _legend(problem: PlanningProblem, solved: bool, ghosts: int) -> list[Label]:
-    """What the colours mean."""
     labels = [Label("start", ROBOT_COLOUR)]
     if solved and ghosts:
         labels.append(Label("on the way", GHOST_COLOUR))
@@ -183,46 +216,26 @@ def write_png(path: Path, image: np.ndarray) -> None:
         Image.fromarray(image).save(temporary, format="PNG", optimize=True)
 
 
-def draw_task(
-    solution: TaskSolution,
-    path: Path,
-    size: tuple[int, int] = (600, 450),
-    columns: int = 3,
-    viewpoint: Viewpoint | None = None,
-) -> list[str]:
+def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
     """Write a PNG with a named picture of the start and of the end of each planned phase, row by row; their names.
 
-    Parameters
-    ----------
     size: width and height of one picture [pixels], without the name below it.
-    viewpoint: of all pictures; None for one from which all of them are seen well.
-
-    Raises
-    ------
-    InvalidInputError: a path that cannot be written.
     """
-    planned = {phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase)}
-    chosen = [(name, world) for name, world in moments(solution) if name in planned or name == "start"]
-    viewpoint = viewpoint or _task_viewpoint([world for _, world in chosen], size)
+    planned = {"start", *(phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase))}
+    worlds = {"start": World.before(solution.task)} | {frame.phase: frame.world for frame in frames(solution)}
+    chosen = {name: shown(world) for name, world in worlds.items() if name in planned}
+    arms = [joined(robot_meshes(problem, problem.start, ROBOT_COLOUR)) for problem in chosen.values()]
+    last = list(chosen.values())[-1]
+    viewpoint = clear_viewpoint([joined(arms)], scene_meshes(last, HIDDEN), size)
     panels = []
-    for k, (name, world) in enumerate(chosen):
-        picture = still_image(shown(world), world.q, size, viewpoint)
-        panels.append(
-            np.concatenate([picture, Strip([Label(f"{k + 1}  {name}")], size[0], NAME_LETTERS).image()])
-        )
-    height, width = panels[0].shape[:2]
-    rows = -(-len(panels) // columns)
-    sheet = np.full(
-        (rows * (height + PANEL_GAP) - PANEL_GAP, columns * (width + PANEL_GAP) - PANEL_GAP, 3), 255, np.uint8
-    )
+    for k, (name, problem) in enumerate(chosen.items(), start=1):
+        caption = strip([Label(f"{k}  {name}")], size[0], NAME_LETTERS)
+        panels.append(np.concatenate([still_image(problem, problem.start, size, viewpoint), caption]))
+    height, width = (side + PANEL_GAP for side in panels[0].shape[:2])
+    rows = -(-len(panels) // COLUMNS)
+    sheet = np.full((rows * height - PANEL_GAP, COLUMNS * width - PANEL_GAP, 3), 255, np.uint8)
     for k, panel in enumerate(panels):
-        top, left = (k // columns) * (height + PANEL_GAP), (k % columns) * (width + PANEL_GAP)
-        sheet[top : top + height, left : left + width] = panel
+        top, left = (k // COLUMNS) * height, (k % COLUMNS) * width
+        sheet[top : top + len(panel), left : left + size[0]] = panel
     write_png(Path(path), sheet)
-    return [name for name, _ in chosen]
-
-
-def _task_viewpoint(worlds: list[World], size: tuple[int, int]) -> Viewpoint:
-    """One from which the arm is seen well in each of the worlds."""
-    arms = [joined(robot_meshes(shown(world), world.q, ROBOT_COLOUR)) for world in worlds]
-    return clear_viewpoint([joined(arms)], scene_meshes(shown(worlds[-1]), HIDDEN), size)
+    return list(chosen)

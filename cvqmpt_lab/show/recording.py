@@ -1,9 +1,8 @@
-"""Showing a solution in rerun: scene, robot, trees, paths and plots. The only module that imports rerun.
+"""Recordings of solutions and tasks for rerun. The only module that imports rerun.
 
-Entities: ``world/scene``, ``world/start``, ``world/goals``, ``world/path``, ``world/robot`` (moving along the path),
-``trees`` (growing) and ``plots``. The timeline "path_state" counts the states of the path shown, "vertices" those
-of the trees as they grow. A whole task has ``world/scene`` (what stands still), ``world/moving`` (parts of
-doors, carried objects), ``world/robot`` and ``phase``, a log; its timeline "task_time" is execution time [s].
+Entities of a solution: ``world/scene``, ``world/start``, ``world/goals``, ``world/path``, ``world/robot``, ``trees``
+and ``plots``; timeline "path_state" counts states of the path, "vertices" those of the growing trees. Of a task:
+``world/scene``, ``world/moving`` (doors, carried objects), ``world/robot`` and ``phase``; timeline "task_time" [s].
 """
 
 import tempfile
@@ -38,14 +37,14 @@ from cvqmpt_lab.show.meshes import (
     poses_along,
 )
 from cvqmpt_lab.show.picture import with_load
-from cvqmpt_lab.show.task_frames import Frame, frames, moving_poses, piece_poses
+from cvqmpt_lab.show.task_frames import Frame, moving_poses, piece_poses, solved_frames
 from cvqmpt_lab.show.viewer import check_viewer, open_viewer
 from cvqmpt_lab.tasks.solve_task import TaskSolution
 
 TIMELINE = "path_state"
 GROWTH = "vertices"
 TASK_TIMELINE = "task_time"
-GROWTH_STEPS = 60  # in which trees are shown growing
+GROWTH_STEPS = 60  # in which trees grow
 GOALS_SHOWN = 3
 GHOST_OPACITY = 0.35
 GROUND_HALF_SIDE = 2.5  # [m] shown of a floor, around its middle
@@ -56,14 +55,7 @@ TREE_COLOURS: tuple[Colour, ...] = (GHOST_COLOUR, GOAL_COLOUR)
 def log_solution(
     solution: Solution, save: Path | None = None, view: bool = False, carried: Sequence[Attachment] = ()
 ) -> None:
-    """Write a solution to a .rrd file, show it in the rerun viewer, or both; works without a display to save.
-
-    carried: what the hand is shown with where the problem does not model it.
-
-    Raises
-    ------
-    InvalidInputError: neither was asked for, the file cannot be written, or no viewer can be opened.
-    """
+    """Write a solution to a .rrd file, show it in the rerun viewer, or both; carried: as for `draw_solution`."""
     if save is None and not view:
         raise InvalidInputError("nothing to do with the recording: give save=<file.rrd>, view=True or both")
     if view:
@@ -80,8 +72,10 @@ def log_solution(
 
 
 def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
-    """Log to a file that takes its name only when it is complete."""
-    recording = _recording()
+    """Log to a file, which is there only when it is complete."""
+    recording = rr.RecordingStream("cvqmpt_lab")
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
     try:
         with replacing(path) as temporary:
             recording.save(temporary, default_blueprint=blueprint)
@@ -93,13 +87,6 @@ def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.Recor
         raise InvalidInputError(
             f"cannot write recording {path}: {reason}; name a file in a folder that exists"
         ) from error
-
-
-def _recording() -> rr.RecordingStream:
-    recording = rr.RecordingStream("cvqmpt_lab")
-    recording.set_log_time_enabled(False)
-    recording.set_log_tick_enabled(False)
-    return recording
 
 
 def _blueprint(plots: Sequence[Plot]) -> rrb.Blueprint:
@@ -144,7 +131,7 @@ def _log_everything(
 
 
 def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
-    """Every object of the scene by its name; "a/b" becomes entity b below a."""
+    """The scene's objects by name; "a/b" becomes entity b below a."""
     for item in scene:
         entity = rr.new_entity_path(["world", "scene", *item.name.split("/")])
         recording.log(entity, _transform(item.T_world_object), object_archetype(item), static=True)
@@ -181,15 +168,13 @@ def log_robot(
 
 
 def log_growth(recording: rr.RecordingStream, robot: Robot, trees: tuple[Tree, ...]) -> None:
-    """Hand positions of the trees' nodes and the edges between them, piece by piece as they grow side by side."""
+    """Hand positions of the trees' nodes and the edges between them, in steps as they grow."""
     for k, tree in enumerate(trees):
+        if len(tree.nodes) == 0:
+            continue
         colour = _rgba(TREE_COLOURS[k % len(TREE_COLOURS)])
-        hand = _hand_positions(robot, tree.nodes) if len(tree.nodes) else np.empty((0, 3))
-        for step, added in enumerate(
-            np.array_split(np.arange(len(hand)), min(GROWTH_STEPS, max(1, len(hand))))
-        ):
-            if len(added) == 0:
-                continue
+        hand = _hand_positions(robot, tree.nodes)
+        for step, added in enumerate(np.array_split(np.arange(len(hand)), min(GROWTH_STEPS, len(hand)))):
             child = added[tree.parent[added] >= 0]
             edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
             recording.set_time(GROWTH, sequence=int(added[-1]) + 1)
@@ -211,9 +196,7 @@ def log_motion(recording: rr.RecordingStream, problem: PlanningProblem, states: 
     log_robot(recording, "world/robot", problem, ROBOT_COLOUR)
     T_world_link, _ = poses_along(problem.robot, states)
     for link in range(T_world_link.shape[1]):
-        T = T_world_link[:, link]
-        columns = rr.Transform3D.columns(translation=T[:, :3, 3], mat3x3=T[:, :3, :3])
-        recording.send_columns(f"world/robot/{link}", [_time(len(states))], columns)
+        _send_poses(recording, f"world/robot/{link}", _time(len(states)), T_world_link[:, link])
 
 
 def log_plot(recording: rr.RecordingStream, plot: Plot) -> None:
@@ -286,15 +269,8 @@ def mesh_archetype(mesh: Mesh, colour: Colour, opacity: float = 1.0) -> rr.Mesh3
 
 
 def log_task(solution: TaskSolution, save: Path) -> None:
-    """Write a task to a .rrd file; works without a display.
-
-    Raises
-    ------
-    InvalidInputError: nothing was solved, or the file cannot be written.
-    """
-    shown = list(frames(solution))
-    if not shown:
-        raise InvalidInputError(f"nothing to show of task {solution.task.name}: {solution.failure}")
+    """Write a task to a .rrd file."""
+    shown = solved_frames(solution)
     eye = rrb.EyeControls3D(position=(-1.35, -1.75, 1.55), look_target=(0.3, -0.2, 0.5), eye_up=(0, 0, 1))
     blueprint = rrb.Blueprint(
         rrb.Spatial3DView(origin="world", name="world", eye_controls=eye),
@@ -310,15 +286,16 @@ def _log_task(recording: rr.RecordingStream, solution: TaskSolution, shown: list
     moving = moving_poses(first.names, shown)
     log_scene(recording, first.without(*moving))
     times = np.array([frame.time for frame in shown])
+    timeline = rr.TimeColumn(TASK_TIMELINE, duration=times)
     for name, poses in moving.items():
         entity = rr.new_entity_path(["world", "moving", *name.split("/")])
         recording.log(entity, object_archetype(first[name]), static=True)
-        _send_poses(recording, entity, times, poses)
+        _send_poses(recording, entity, timeline, poses)
     for piece, poses in piece_poses(shown).items():
         entity = rr.new_entity_path(["world", "robot", piece])
         vertices = next(part.vertices for part in shown[0].world.arm.links if part.name == piece)
         recording.log(entity, mesh_archetype(hull_mesh(vertices), ROBOT_COLOUR), static=True)
-        _send_poses(recording, entity, times, poses)
+        _send_poses(recording, entity, timeline, poses)
     names = [frame.phase for frame in shown]
     for k, name in enumerate(names):
         if k == 0 or name != names[k - 1]:
@@ -326,7 +303,7 @@ def _log_task(recording: rr.RecordingStream, solution: TaskSolution, shown: list
             recording.log("phase", rr.TextLog(name))
 
 
-def _send_poses(recording: rr.RecordingStream, entity: str, times: np.ndarray, poses: np.ndarray) -> None:
-    """Poses (k, 4, 4) of an entity at times (k,) [s]."""
+def _send_poses(recording: rr.RecordingStream, entity: str, time: rr.TimeColumn, poses: np.ndarray) -> None:
+    """Poses (k, 4, 4) of an entity at k times."""
     columns = rr.Transform3D.columns(translation=poses[:, :3, 3], mat3x3=poses[:, :3, :3])
-    recording.send_columns(entity, [rr.TimeColumn(TASK_TIMELINE, duration=times)], columns)
+    recording.send_columns(entity, [time], columns)

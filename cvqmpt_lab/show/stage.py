@@ -1,4 +1,4 @@
-"""Light, shadow and outlines: a still scene, drawn once, and what moves in it, drawn as often as wanted."""
+"""Light, shadow and outlines of a still scene, drawn once, and of what moves in it; where to look from."""
 
 import math
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ OUTLINE = 0.55  # what is left of the light on outlines
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What a viewpoint sees."""
+    """An image with depth."""
 
     image: np.ndarray  # (rows, columns, 3), each channel in [0, 1]
     depth: np.ndarray  # (rows, columns) [m], inf where nothing solid is
 
 
 class Shadow:
-    """What a mesh leaves of the sunlight behind it."""
+    """The shadow of a mesh, as a shadow map."""
 
     def __init__(self, mesh: Mesh, sun: np.ndarray, side: int) -> None:
         """sun: direction (3,) towards it; side: of the shadow map [pixels]."""
@@ -57,12 +57,12 @@ class Shadow:
 
 
 class Stage:
-    """A scene that stands still, seen from one viewpoint."""
+    """A still scene, seen from one viewpoint."""
 
     def __init__(
         self, still: Sequence[Mesh], ground: float | None, viewpoint: Viewpoint, shape: tuple[int, int]
     ) -> None:
-        """still: what the scene consists of; ground: height of a floor [m] or None; shape: (rows, columns)."""
+        """still: meshes of the scene; ground: height of a floor [m] or None; shape: (rows, columns)."""
         self.viewpoint, self.shape = viewpoint, shape
         self._side = min(SHADOW_PIXELS, 2 * max(shape))
         self._shadows: list[Shadow] = []
@@ -83,7 +83,7 @@ class Stage:
         self._across = self._points[self._sunny] @ sun_axes(viewpoint).T.astype(np.float32)
 
     def picture(self, moving: Sequence[Mesh]) -> Picture:
-        """The scene with what moves in it, somewhere."""
+        """The scene with the meshes that move."""
         mesh = joined(moving)
         shadow = Shadow(mesh, self.viewpoint.sun, self._side // 2)
         sun, piece, depth = self._sun.copy(), self._piece.copy(), self._depth.copy()
@@ -148,22 +148,29 @@ def _outlines(piece: np.ndarray) -> np.ndarray:
     return edge
 
 
-# Where to take a picture from, so that a motion fills it and little stands in front of it.
-AZIMUTHS = (-132.0, -165.0, -95.0, 160.0, 125.0, -60.0, 90.0, -25.0, 55.0, 15.0)
-"""Directions from the motion to the eye [deg], those that suit a robot that faces +x first."""
-ENOUGH = 0.8  # share of the motion that must be seen for other directions not to be looked at
+# The viewpoint from which a motion fills the picture and little is in front of it.
+AZIMUTHS = (
+    -132.0,
+    -165.0,
+    -95.0,
+    160.0,
+    125.0,
+    -60.0,
+    90.0,
+    -25.0,
+    55.0,
+    15.0,
+)  # [deg] from the motion to the eye
+ENOUGH = 0.8  # share of the motion in sight at which no other direction is tried
 ELEVATION = 24.0  # [deg] of the eye above the motion
 HEIGHT_ANGLE = 0.64  # [rad]
-CONTEXT = 1.3  # the eye stands this much farther off than the motion alone needs
+CONTEXT = 1.3  # distance of the eye, relative to the one at which the motion fills the picture
 GAIN = 0.05  # share of the motion that another direction must show more to be taken instead
 LOOK_ROWS = 64  # [pixels] of the small pictures in which directions are compared
 
 
 def clear_viewpoint(parts: Sequence[Mesh], scene: Sequence[Mesh], size: tuple[int, int]) -> Viewpoint:
-    """A viewpoint for a picture of (width, height) pixels from which most of each part of a motion is seen.
-
-    parts: what is to be seen; one hides those after it.
-    """
+    """A viewpoint for a picture of (width, height) pixels from which most of each part of a motion is seen."""
     scene = [joined(scene)] if scene else []
     shape = (LOOK_ROWS, round(LOOK_ROWS * size[0] / size[1]))
     points = np.concatenate([part.corners.reshape(-1, 3) for part in parts])

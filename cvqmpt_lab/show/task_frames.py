@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.meshes import poses_along
 from cvqmpt_lab.tasks.solve_task import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
-from cvqmpt_lab.tasks.world import HeldDoor, Load, World
+from cvqmpt_lab.tasks.world import Load, World
 
-PERIOD = 0.1  # [s] between shown states
-PAUSE = 0.5  # [s] shown of fingers that open or close
+PERIOD = 0.1  # [s] between states
+PAUSE = 0.5  # [s] for fingers that open or close
 
 
 class Frame(NamedTuple):
@@ -41,54 +41,30 @@ def frames(solution: TaskSolution) -> Iterator[Frame]:
         assert outcome.trajectory is not None and outcome.solution.simplified is not None
         motion = outcome.trajectory.sampled(PERIOD)
         for t, q in zip(motion.times, motion.positions, strict=True):
-            yield Frame(time + float(t), phase.name, world_along(world, q))
+            yield Frame(time + float(t), phase.name, world.moved(q))
         world = world.moved(outcome.solution.simplified.path.states[-1])
         time += motion.duration
 
 
-def moments(solution: TaskSolution) -> list[tuple[str, World]]:
-    """(name, world) at the start and after every phase that was solved, in order."""
-    outcomes = {outcome.phase.name: outcome for outcome in solution.outcomes if outcome.solved}
-    world = World.before(solution.task)
-    found = [("start", world)]
-    for phase in solution.task.phases:
-        if not isinstance(phase, PlannedPhase):
-            world = world.after(phase)
-        elif phase.name in outcomes:
-            world = world.moved(outcomes[phase.name].solution.simplified.path.states[-1])  # type: ignore[union-attr]
-        else:
-            break
-        found.append((phase.name, world))
-    return found
+def solved_frames(solution: TaskSolution) -> list[Frame]:
+    """All `frames`; InvalidInputError if there are none."""
+    every = list(frames(solution))
+    if not every:
+        raise InvalidInputError(f"nothing to show of task {solution.task.name}: {solution.failure}")
+    return every
 
 
 def shown(world: World) -> PlanningProblem:
-    """A world as something that can be drawn: the arm alone, and a door it holds in the scene."""
-    attachments: tuple[Attachment, ...] = ()
-    if isinstance(world.held, Load):  # the object itself, not the little less of it that is checked
-        attachments = (
-            replace(
-                world.held.attachment, shape=world.held.item.shape, T_hand_object=world.held.T_hand_object
-            ),
-        )
-    return PlanningProblem(
-        name="shown",
-        robot=world.arm,
-        scene=world.scene,
-        start=world.q,
-        goals=world.q[None],
-        attachments=attachments,
-    )
-
-
-def world_along(world: World, q: np.ndarray) -> World:
-    """The world at a state (n,) of a planned phase's path, or (n + 1,) with a door in the hand."""
-    return world.moved(q) if isinstance(world.held, HeldDoor) else replace(world, q=q)
+    """A problem to draw a world by: the arm alone, and a door it holds in the scene."""
+    held, loads = world.held, []
+    if isinstance(held, Load):  # the object as it is, not the smaller one that is checked
+        loads = [replace(held.attachment, shape=held.item.shape, T_hand_object=held.T_hand_object)]
+    return PlanningProblem("shown", world.arm, world.scene, world.q, world.q[None], attachments=tuple(loads))
 
 
 def moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.ndarray]:
-    """Poses (k, 4, 4) of the objects that do not stay where they are."""
-    standing = {name: [] for name in names}  # type: dict[str, list[np.ndarray]]
+    """Poses (k, 4, 4) of the objects that move."""
+    standing: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for frame in shown:
         world, held = frame.world, frame.world.held
         placed = {item.name: item.T_world_object for item in world.scene}
@@ -104,7 +80,7 @@ def moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.nda
 
 
 def piece_poses(shown: list[Frame]) -> dict[str, np.ndarray]:
-    """Poses (k, 4, 4) in the world of the arm's pieces."""
+    """Poses (k, 4, 4) of the arm's pieces in the world."""
     found: dict[str, list[np.ndarray]] = {}
     for frame in shown:
         robot = frame.world.arm

@@ -1,4 +1,4 @@
-"""The rerun viewer, as a program of its own that listens on the loopback address only."""
+"""The rerun viewer, a separate program that listens on the loopback address only."""
 
 import os
 import shutil
@@ -23,12 +23,7 @@ def check_viewer() -> None:
 
 
 def open_viewer(recording: Path) -> None:
-    """Open a .rrd file in the viewer that came with rerun-sdk; it goes on after this program.
-
-    Raises
-    ------
-    InvalidInputError: no display, no viewer, or one that gives up at once.
-    """
+    """Open a .rrd file in the viewer of rerun-sdk, which stays open after this program."""
     check_viewer()
     program = shutil.which("rerun", path=str(Path(sys.executable).parent)) or shutil.which("rerun")
     if program is None:

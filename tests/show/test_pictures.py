@@ -12,9 +12,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.show import film, task_frames
-from cvqmpt_lab.show.labels import Label, Strip
 from cvqmpt_lab.show.meshes import Viewpoint, joined, rasterise, shape_mesh
-from cvqmpt_lab.show.picture import NAME_LETTERS, draw_solution, draw_task
+from cvqmpt_lab.show.picture import NAME_LETTERS, Label, draw_solution, draw_task, strip
 from cvqmpt_lab.show.recording import TASK_TIMELINE, log_task
 from cvqmpt_lab.show.stage import AZIMUTHS, clear_viewpoint, framed
 from experiments.suites.multi_sequence import CAN_NAME
@@ -33,7 +32,7 @@ def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
 
 def test_what_the_hand_carries_is_drawn_where_the_problem_leaves_it_out(unsolved, tmp_path):
     for name, carried in (("without", ()), ("with", (carried_can(),))):
-        draw_solution(unsolved, tmp_path / f"{name}.png", (180, 120), viewpoint=Viewpoint(), carried=carried)
+        draw_solution(unsolved, tmp_path / f"{name}.png", (180, 120), carried=carried)
     red = [
         np.sum(imread(tmp_path / f"{name}.png")[..., 0] - imread(tmp_path / f"{name}.png")[..., 1] > 0.3)
         for name in ("without", "with")
@@ -55,7 +54,7 @@ def test_pictures_and_recording(task_solution, tmp_path, monkeypatch):
     monkeypatch.setattr(film, "TASK_FRAMES", 8)
     names = draw_task(task_solution, tmp_path / "task.png", size=(60, 40))
     assert names == ["start", *phases]
-    height = 40 + Strip([Label("1  start")], 60, NAME_LETTERS).height
+    height = 40 + len(strip([Label("1  start")], 60, NAME_LETTERS))
     assert imread(tmp_path / "task.png").shape[:2] == (2 * height + 6, 3 * 60 + 2 * 6)
     film.film_task(task_solution, tmp_path / "task.gif", size=(60, 40))
     with Image.open(tmp_path / "task.gif") as moving:
