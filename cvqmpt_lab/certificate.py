@@ -1,7 +1,6 @@
-"""An independent judgement of a path: shares no code with planners or kernels, and leaves no gaps between samples.
+"""The certificate of a path: an independent check, also between states, that shares no code with planners or kernels.
 
-Poses and rotation vectors come from pinocchio, distances from coal. A path that fails is a
-failure, whatever the planner says.
+Poses and rotation vectors come from pinocchio, distances from coal.
 """
 
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from cvqmpt_lab.constraints.between_states import largest_violation
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 
-SPACING = 0.11  # [rad] between states at which the constraint is looked at first
+SPACING = 0.11  # [rad] between states at which the constraint is evaluated first
 TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too
 LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
 END_TOLERANCE = 1e-6  # [rad] at start and goal
@@ -24,7 +23,7 @@ CLEARANCE_STATES = 8  # distances are measured at this many states, where the pr
 
 
 class FaultKind(StrEnum):
-    """What can be wrong with a path."""
+    """Kinds of faults of a path."""
 
     SHAPE = "shape"
     START = "start"
@@ -39,31 +38,30 @@ class FaultKind(StrEnum):
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong with a path, and the sentence that says so."""
+    """A fault of a path."""
 
     kind: FaultKind
     text: str
-    at: float | None = None
-    """Where, as the number of a state; 12.5 is half-way from state 12 to 13. None for all of the path."""
+    at: float | None = None  # number of a state; 12.5 is half-way from state 12 to 13. None: the whole path
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Findings on one path; valid when there is no fault."""
+    """The result of `certify`."""
 
-    faults: tuple[Fault, ...]  # What is wrong
-    max_violation_rad: float  # Largest turn outside the constraint's bounds [rad]
-    max_violation_m: float  # Largest shift outside them [m]
-    min_clearance_m: float
-    """Smallest distance found, at up to CLEARANCE_STATES states [m]; nan when not asked for."""
-    states_checked: int  # Configurations at which distances were compared
-    unproven_rad: float = 0.0
-    """Longest stretch whose middle is free although its freedom could not be proven [rad]; 0 when there is none."""
-    unproven_at: float | None = None  # The middle of that stretch, as the number of a state (see `Fault.at`)
+    faults: tuple[Fault, ...]
+    max_violation_rad: float  # largest rotation outside the constraint's bounds [rad]
+    max_violation_m: float  # largest translation outside them [m]
+    min_clearance_m: (
+        float  # smallest distance found, at up to CLEARANCE_STATES states [m]; nan when not asked for
+    )
+    states_checked: int  # configurations at which distances were compared
+    unproven_rad: float = 0.0  # longest stretch not proven free although its middle is free [rad]
+    unproven_at: float | None = None  # the middle of that stretch, as `Fault.at`
 
     @property
     def valid(self) -> bool:
-        """Whether the path may be counted."""
+        """Whether there is no fault."""
         return not self.faults
 
     @property
@@ -114,13 +112,13 @@ def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
 
 
 def _clearance(checker: CollisionChecker, proof: MotionProof) -> float:
-    """Smallest distance [m] where the proof had least room, or where it failed."""
+    """Smallest distance [m] at the states with least room in the proof, or at the colliding one."""
     places = proof.tightest[:CLEARANCE_STATES] if proof.colliding is None else [proof.colliding]
     return min(checker.clearance(q) for q in places)
 
 
 def _unusable(problem: PlanningProblem, states: np.ndarray) -> Fault | None:
-    """Why states are no path at all, or None."""
+    """Why states are no path of this robot, or None."""
     if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
         text = f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
         return Fault(FaultKind.SHAPE, text)

@@ -1,4 +1,4 @@
-"""Arrays that take long to make, kept in the user's cache: each file is named after all that its arrays are made of."""
+"""Cache on disk of arrays that take long to make; the file's name is a hash of all that they depend on."""
 
 import contextlib
 import hashlib
@@ -12,7 +12,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, make_folder, replacing
 
-MOST = 256  # Files of one kind; the oldest go first
+MOST = 256  # files of one kind; the oldest are deleted first
 
 
 def sources_digest(*places: Path) -> str:
@@ -28,11 +28,9 @@ def sources_digest(*places: Path) -> str:
 def kept_arrays(
     kind: str, made_of: bytes, make: Callable[[], Mapping[str, np.ndarray]]
 ) -> dict[str, np.ndarray]:
-    """What `make` returns, read from the cache where it is there.
+    """What `make` returns, read from the cache if it is there.
 
-    Parameters
-    ----------
-    kind: folder of the cache. made_of: everything that the arrays depend on, the sources that make them included.
+    kind: folder of the cache. made_of: all that the arrays depend on, the sources that make them included.
     """
     path = cache_folder() / kind / f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
     with (
@@ -41,16 +39,11 @@ def kept_arrays(
     ):
         return dict(found)
     made: dict[str, Any] = dict(make())
-    with contextlib.suppress(InvalidInputError):  # no place for it: made again the next time
+    with contextlib.suppress(InvalidInputError):  # no writable cache: made again the next time
         make_folder(path.parent)
         with replacing(path) as temporary, temporary.open("wb") as handle:
             np.savez(handle, **made)
-        _forget_oldest(path.parent)
+        with contextlib.suppress(OSError):  # another process may delete them, too
+            for old in sorted(path.parent.glob("*.npz"), key=lambda p: p.stat().st_mtime_ns)[:-MOST]:
+                old.unlink()
     return made
-
-
-def _forget_oldest(folder: Path) -> None:
-    with contextlib.suppress(OSError):  # another process forgets them, too
-        files = sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
-        for path in files[:-MOST]:
-            path.unlink()

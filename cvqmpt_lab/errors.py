@@ -1,7 +1,6 @@
-"""Errors that teach: each names the offending value, the valid choices and the cure, in one line.
+"""Errors of one line: the wrong value, the valid choices and what to do. The command line exits with code 2.
 
-Failing to plan is a result (`PlanStatus`), never an exception. The command line turns every
-`CvqmptError` into that one line on standard error and exit code 2.
+Failing to plan is a result (`PlanStatus`), never an exception.
 """
 
 import difflib
@@ -24,7 +23,7 @@ def shown(value: object) -> str:
 
 
 def nearest(value: object, choices: Iterable[object]) -> str:
-    """The choice that was perhaps meant, as "; did you mean 'x'?", or nothing."""
+    """The most similar choice, as "; did you mean 'x'?", or nothing."""
     plain = {str(choice).lower(): str(choice) for choice in choices}
     found = difflib.get_close_matches(str(value)[:LONGEST].lower(), plain, 1)
     return f"; did you mean {plain[found[0]]!r}?" if found else ""
@@ -33,13 +32,13 @@ def nearest(value: object, choices: Iterable[object]) -> str:
 def one_line(text: str) -> str:
     """A message as one printable line, without its middle where it is very long."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
-    return (
-        line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3 :]}"
-    )
+    if len(line) <= LONGEST_LINE:
+        return line
+    return f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3 :]}"
 
 
 class CvqmptError(Exception):
-    """Base of every error this package raises on purpose; whatever it quotes, it is one line."""
+    """Base of all errors of this package; always one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(str(message)))
@@ -55,7 +54,7 @@ class UnknownChoiceError(CvqmptError):
         self._asked = kind, value, names
 
     def __reduce__(self) -> tuple:
-        """Make it again from what was asked, in the process that waits for a worker's answer."""
+        """Pickle it by its arguments, for the process that waits for a worker."""
         return UnknownChoiceError, self._asked
 
 
@@ -72,12 +71,12 @@ class RunStoreError(InvalidInputError):
 
 
 def torch_installed() -> bool:
-    """Whether torch can be imported; it is not."""
+    """Whether torch is installed; does not import it."""
     return importlib.util.find_spec("torch") is not None
 
 
 def require_torch(what: str) -> None:
-    """Raise InvalidInputError that tells the cure when torch, which `what` needs, is not installed."""
+    """Raise InvalidInputError if torch, which `what` needs, is not installed."""
     if not torch_installed():
         raise InvalidInputError(
             f"{what} needs torch, which is not installed: pip install 'cvqmpt-lab[train]'"

@@ -1,4 +1,4 @@
-"""Files read and written whole: a written file is complete or not there, and errors name the path."""
+"""Read and write files: a written file is complete or not there, and errors name the path."""
 
 import contextlib
 import fcntl
@@ -11,18 +11,14 @@ from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, shown
 
-TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
-"""Names that `replacing` gives."""
+TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # names that `replacing` gives
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside `path` to write to; what is there at the end is moved to `path` at once.
+    """Give a temporary name beside `path` to write to, which is moved to `path` at the end.
 
-    Raises
-    ------
-    InvalidInputError
-        When the folder cannot be written to; `path` is then as it was, and nothing is left beside it.
+    After an error `path` is as it was; InvalidInputError says why it cannot be written.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -37,7 +33,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write data as `replacing` does, and wait until the disk has it."""
+    """Write a file as `replacing` does, and wait until it is on the disk."""
     with replacing(path) as temporary, temporary.open("wb") as handle:
         handle.write(data)
         handle.flush()
@@ -61,12 +57,12 @@ def make_folder(path: Path) -> Path:
 
 
 def cache_folder() -> Path:
-    """Where this user's caches are kept; it need not be there."""
+    """The folder of this user's caches; it need not exist."""
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "cvqmpt_lab"
 
 
 def require_regular_file(path: Path, what: str = "file") -> Path:
-    """Refuse what is there and no file, such as a pipe, which a reader would wait for; InvalidInputError names it."""
+    """Refuse a path to something other than a file, such as a pipe, for which a reader would wait."""
     path = Path(path)
     try:
         odd = path.exists() and not path.is_file() and not path.is_dir()
@@ -88,14 +84,9 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def lock(folder: Path) -> int:
-    """Take a folder's advisory lock, so that two processes never write into it; return its handle.
+    """Take a folder's advisory lock, which only one process can have; return its handle.
 
-    Temporary files that killed writers left in the folder are removed.
-
-    Raises
-    ------
-    InvalidInputError
-        When another process has it.
+    Temporary files that killed processes left in the folder are removed.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -113,14 +104,14 @@ def lock(folder: Path) -> int:
 
 
 def unlock(handle: int) -> None:
-    """Give a lock back."""
+    """Release a lock."""
     with contextlib.suppress(OSError):
         fcntl.flock(handle, fcntl.LOCK_UN)  # explicit: forked workers may still hold the handle
     os.close(handle)
 
 
 def read_bytes(path: Path, what: str = "file") -> bytes:
-    """Read a file; InvalidInputError, which calls it `what`, names a path that cannot be read."""
+    """Read a file; errors call it `what` and name its path."""
     path = Path(path)
     try:
         if path.is_char_device() or path.is_block_device():  # /dev/zero has no end
@@ -141,12 +132,12 @@ def read_text(path: Path, what: str = "file") -> str:
 
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
-    """Read one json object as `read_text` does; a key that occurs twice in one object is refused."""
+    """Read a file with one json object."""
     return json_object(read_text(path, what), f"{what} {path}")
 
 
 def json_object(text: str, what: str) -> dict[str, Any]:
-    """Return the json object of a text as `json_value` does."""
+    """The json object of a text, as `json_value`."""
     data = json_value(text, what)
     if not isinstance(data, dict):
         raise InvalidInputError(f"{what} must hold one json object")
@@ -154,7 +145,7 @@ def json_object(text: str, what: str) -> dict[str, Any]:
 
 
 def json_value(text: str, what: str) -> Any:
-    """Return what a json text holds; a key that occurs twice in one object is refused, and so is half a character."""
+    """The value of a json text; a key that occurs twice in an object is refused, and so is half a character."""
     try:
         value = json.loads(text, object_pairs_hook=_unique_keys)
         if "\\ud" in text.lower():  # half of a pair that stands for a character: no file can hold it

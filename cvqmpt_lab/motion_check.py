@@ -1,9 +1,10 @@
-"""What a controller would do with a motion: limits, start, rest at both ends, and the certificate of the curve itself.
+"""Check of a motion before it is executed: limits, start, rest at both ends, and the certificate of its curve.
 
-Between its points a trajectory is cubic, through positions and velocities, as a robot's controller makes it.
+Between its points a trajectory is cubic, through positions and velocities, as a robot's controller interpolates.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,22 +18,24 @@ from cvqmpt_lab.trajectory.trajectory import Trajectory
 from cvqmpt_lab.trajectory.trajectory_files import Motion
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
+# Share by which limits may be exceeded: cubic pieces between the points of a motion that `time_path` timed to its
+# limits have accelerations up to 4 % above the stated ones.
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
-"""Share by which limits may be passed: a motion that `time_path` timed to its limits bends up to 4 % harder in cubic
-pieces, which know only its positions and velocities, than the accelerations that it states."""
 MOST_PIECES = 100_000
-HARDEST = 1e3  # Times its limit that a joint may accelerate to be followed: beyond it, units are wrong
+HARDEST = 1e3  # times its acceleration limit, beyond which units must be wrong
 
 
-@dataclass(frozen=True, eq=False)
-class DryRun:
-    """What was found."""
+class DryRun(NamedTuple):
+    """A certificate that includes faults in time."""
 
-    certificate: Certificate  # With the faults of the dry run; places are numbers of `states`
-    states: np.ndarray
-    """(m, n) [rad or m] that were certified: of a trajectory, straight pieces within FLAT of it."""
+    certificate: Certificate  # places of faults are numbers of `states`
+    states: (
+        np.ndarray
+    )  # (m, n) [rad or m] that were certified: of a trajectory, straight pieces within FLAT of it
     times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
-    apart: float = 0.0  # How far the motion may be from the straight pieces at any point of the robot [m]
+    apart: float = (
+        0.0  # distance of the robot's points on the motion from those on the straight pieces, at most [m]
+    )
 
 
 def dry_run(
@@ -44,10 +47,7 @@ def dry_run(
 ) -> DryRun:
     """Judge a path or trajectory before it is sent to an arm that stands at current (n,).
 
-    Raises
-    ------
-    InvalidInputError
-        When the motion is of other joints, or has times but no velocities or times that do not increase.
+    InvalidInputError: joints of another robot, times without velocities, or times that do not increase.
     """
     motion = motion.of_joints(problem.robot.joint_names)
     states, times, faults, apart = motion.positions, None, [], 0.0
@@ -105,7 +105,7 @@ def _moments(trajectory: Trajectory, limits: JointLimits) -> np.ndarray:
 
 
 def _accelerations(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """At the begin and the end of every cubic piece, (k, n) each [rad/s^2]; inf or nan beyond what numbers hold."""
+    """At the begin and the end of every cubic piece, (k, n) each [rad/s^2]; inf or nan after an overflow."""
     h = np.diff(trajectory.times)[:, None]
     v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]
     with np.errstate(all="ignore"):
@@ -116,7 +116,7 @@ def _accelerations(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def _limit_faults(
     trajectory: Trajectory, motion: Motion, limits: JointLimits, times: np.ndarray
 ) -> list[Fault]:
-    """Joints that are too fast, or speed up too hard: at points, and where velocity turns between them."""
+    """Joints above their limits, at the points and at extrema of the velocity between them."""
     begins, ends = _accelerations(trajectory)
     spans = np.diff(trajectory.times)[:, None]
     change = ends - begins
@@ -139,23 +139,21 @@ def _limit_faults(
         if share[k, joint] > 1.0 + OVERSHOOT[kind]:
             name, reached = limits.joint_names[joint], abs(values[k, joint])
             text = f"{name} reaches {reached:.4g} {unit}, its {kind} limit is {limit[joint]:.4g}"
-            faults.append(
-                Fault(kind, text, float(np.interp(moments[k, joint], times, np.arange(len(times)))))
-            )
+            state = float(np.interp(moments[k, joint], times, np.arange(len(times))))
+            faults.append(Fault(kind, text, state))
     return faults
 
 
 def _rest_faults(trajectory: Trajectory, limits: JointLimits, times: np.ndarray) -> list[Fault]:
-    """Joints that move where the motion begins or ends, where an arm stands."""
+    """Joints that do not rest where the motion begins or ends."""
     faults = []
     for what, end, at in (("begins", 0, 0.0), ("ends", -1, len(times) - 1.0)):
         share = np.abs(trajectory.velocities[end]) / limits.velocity
         joint = int(share.argmax())
         if share[joint] > OVERSHOOT[FaultKind.VELOCITY]:
             name, speed = limits.joint_names[joint], abs(trajectory.velocities[end, joint])
-            faults.append(
-                Fault(FaultKind.VELOCITY, f"{name} moves at {speed:.4g} rad/s where the motion {what}", at)
-            )
+            text = f"{name} moves at {speed:.4g} rad/s where the motion {what}"
+            faults.append(Fault(FaultKind.VELOCITY, text, at))
     return faults
 
 

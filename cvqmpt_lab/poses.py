@@ -42,22 +42,20 @@ def rotation_matrices(vectors: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Placement:
-    """A pose as people write it: a position, and angles or a quaternion."""
+    """A pose as a position, and angles or a quaternion."""
 
-    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Position [m]."""
-    rpy: tuple[float, float, float] | None = None
-    """Roll, pitch, yaw [rad]: turned about the fixed axes x, y, z in this order, as in a URDF."""
-    quaternion: tuple[float, float, float, float] | None = None
-    """x, y, z, w, of length 1."""
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position [m]
+    rpy: tuple[float, float, float] | None = (
+        None  # roll, pitch, yaw about the fixed axes x, y, z [rad], as in a URDF
+    )
+    quaternion: tuple[float, float, float, float] | None = None  # x, y, z, w, of length 1
 
     def __post_init__(self) -> None:
         if self.rpy is not None and self.quaternion is not None:
             raise InvalidInputError("give 'rpy' or 'quaternion', one of the two")
-        if self.quaternion is not None and abs(math.hypot(*self.quaternion) - 1.0) > 1e-3:
-            raise InvalidInputError(
-                f"quaternion [x, y, z, w] has length {math.hypot(*self.quaternion):.4g}; it must be 1"
-            )
+        length = math.hypot(*self.quaternion or (1.0,))
+        if abs(length - 1.0) > 1e-3:
+            raise InvalidInputError(f"quaternion [x, y, z, w] has length {length:.4g}; it must be 1")
 
     @property
     def matrix(self) -> FloatArray:
@@ -82,22 +80,19 @@ class PoseForm:
         if isinstance(value, Mapping):
             value = from_plain(Placement, value, where).matrix
         T = MATRIX.read(value, where)
-        rotation = T[:3, :3]
+        R = T[:3, :3]
         if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
             fault = f"last row is {T[3].tolist()}, not 0 0 0 1"
-        elif (
-            np.abs(rotation).max() > 2.0
-            or not (np.abs(rotation @ rotation.T - np.eye(3)) <= ORTHONORMAL).all()
-        ):
+        elif np.abs(R).max() > 2.0 or not (np.abs(R @ R.T - np.eye(3)) <= ORTHONORMAL).all():
             fault = "rotation part is not orthonormal"
-        elif np.linalg.det(rotation) < 0.0:
+        elif np.linalg.det(R) < 0.0:
             fault = "rotation part is mirrored"
         else:
             return T
         raise InvalidInputError(f"{where} is no rigid pose: its {fault}")
 
     def write(self, value: FloatArray) -> Any:
-        """Only the position where nothing is turned; otherwise the matrix, which alone is exact."""
+        """The position if the rotation is the identity, else the matrix, which is exact."""
         return {"xyz": value[:3, 3].tolist()} if np.array_equal(value[:3, :3], np.eye(3)) else value.tolist()
 
     def schema(self, of: Schema) -> dict[str, Any]:

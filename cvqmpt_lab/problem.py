@@ -1,8 +1,6 @@
 """Planning problems: a robot in a scene under a constraint, from a start to any of several goals.
 
-`PlanningProblem` checks its own shape; `check_problem` checks it against the world (collision,
-manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-problem/1``, which
-`schemas/problem.schema.json` describes for editors::
+Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors: `schemas/problem.schema.json`)::
 
     {"schema": "cvqmpt-problem/1", "name": "...",
      "robot": {"name": "panda", "finger_opening": 0.04}
@@ -16,8 +14,8 @@ manifold) and names the culprit. Problems are saved as json, schema ``cvqmpt-pro
      "start": [n numbers]  or  "start_region": region,
      "goals": [[n numbers], ...]  and / or  "goal_region": region}
 
-A pose is {"xyz", "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals that are given are used as they are; goals
-are drawn from the goal region only when none is given.
+A pose is {"xyz", "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn from the goal region only if no
+goals are given.
 """
 
 from collections.abc import Iterator
@@ -43,11 +41,11 @@ from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
 
 MOST_REGIONS = 32  # of one constraint
-CONTRADICTION = 1e-3  # [m, rad] that a given goal may lie outside the goal region
+CONTRADICTION = 1e-3  # [m, rad] that a given goal may be outside the goal region
 
 
 class RobotForm:
-    """A robot as the source that it can be loaded from again."""
+    """A robot in json: the source that loads it."""
 
     def read(self, value: Any, where: str) -> Robot:
         """Load the robot."""

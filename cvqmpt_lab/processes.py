@@ -1,4 +1,4 @@
-"""Processes that do not outlive the one they work for, however that ends."""
+"""Workers that end with their parent process, and numeric libraries on one thread."""
 
 import ctypes
 import os
@@ -14,26 +14,21 @@ PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent(parent: int) -> None:
-    """Let this process end when `parent`, which started it, ends; at once if that has happened (Linux)."""
+    """End this process when `parent`, which started it, ends (Linux)."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:  # it ended before this was asked for
+        if os.getppid() != parent:  # it has ended already
             os._exit(1)
 
 
-# How many threads the numeric libraries use.
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let BLAS and OpenMP use one thread meanwhile.
-
-    How a product is split among threads decides how its sums are rounded, so paths of learned methods would depend
-    on the number of cores; and the products of one plan are too small to gain from more.
-    """
+    """Let BLAS and OpenMP use one thread: with more, rounding and so paths would depend on the number of cores."""
     with _libraries(torch="torch" in sys.modules).limit(limits=1):
         yield
 
 
 @lru_cache(maxsize=2)
 def _libraries(*, torch: bool) -> ThreadpoolController:
-    """The libraries that are loaded; torch brings some of its own, and they are looked for anew once it is there."""
+    """The loaded libraries; torch brings some of its own, so they are searched again once it is imported."""
     return ThreadpoolController()

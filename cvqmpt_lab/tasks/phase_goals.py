@@ -1,7 +1,7 @@
-"""Where the phases of a task may end: goal configurations from which the phase after can begin."""
+"""Goals of the phases of a task: configurations from which the next phase can begin."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,17 +15,15 @@ from cvqmpt_lab.tasks.world import World
 DOOR_MARGIN = 5e-4  # [m] in place of SAMPLE_MARGIN with a door in the hand
 
 
-@dataclass(frozen=True)
-class Effort:
-    """How hard goals of a kind of phase are looked for."""
+class Effort(NamedTuple):
+    """Numbers of samples for the goals of a kind of phase."""
 
-    goals: int  # Sought; those of slides and turns differ only in posture
-    poses: int  # Of the end effector that are tried for them
-    first_goals: int = 0  # Goals that the phase before looks for
-    grasps: int = 0  # How many of those must let this phase have goals of its own
-    goals_ahead: int = 0
-    """Goals of this phase that count as having some: a grasp that allows fewer stands at a limit and may get stuck."""
-    poses_ahead: int = 0  # Poses of the end effector that are tried for them
+    goals: int  # sought; those of slides and turns differ only in posture
+    poses: int  # of the end effector that are tried for them
+    first_goals: int = 0  # sought by the phase before
+    grasps: int = 0  # how many of those must allow goals of this phase
+    goals_ahead: int = 0  # goals of this phase that a grasp must allow: one with fewer is near a joint limit
+    poses_ahead: int = 0  # of the end effector that are tried for them
 
 
 EFFORT: dict[type, Effort] = {
@@ -35,12 +33,11 @@ EFFORT: dict[type, Effort] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class PhaseGoals:
-    """Where a phase may end."""
+class PhaseGoals(NamedTuple):
+    """Goal configurations of a phase."""
 
     configurations: np.ndarray  # (m, n) [rad or m]
-    reason: str = ""  # Why there are none, or ""
+    reason: str = ""  # why there are none, or ""
 
 
 def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:
@@ -51,21 +48,15 @@ def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:
     return None
 
 
-def _planned(task: Task, k: int) -> PlannedPhase:
-    phase = task.phases[k]
-    assert isinstance(phase, PlannedPhase)
-    return phase
-
-
 def world_before(task: Task, world: World, k: int, number: int) -> World:
-    """The world before phase `number`, given that before phase k; the phases between are not planned."""
+    """The world before phase `number`, from that before phase k; the phases between are not planned."""
     for phase in task.phases[k:number]:
         world = world.after(phase)
     return world
 
 
 def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[PlanningProblem]:
-    """The problems, without goals, that a task's planned phases were, given what came of them: states (m, n) each."""
+    """The problems, without goals, of the planned phases whose paths, states (m, n) each, are given."""
     world, begin = World.before(task), 0
     for states in paths:
         ahead = following(task, begin)
@@ -78,7 +69,8 @@ def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[Planning
 
 def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:
     """Goals of planned phase k from which the planned phase after it can begin."""
-    phase, after = _planned(task, k), following(task, k + 1)
+    phase, after = task.phases[k], following(task, k + 1)
+    assert isinstance(phase, PlannedPhase)
     problem, effort = world.problem(task, phase), EFFORT[type(phase)]
     if after is None or not EFFORT[type(after[1])].grasps:
         return _sampled(problem, phase, effort.goals, effort.poses)
@@ -95,8 +87,9 @@ def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:
 
 
 def prepare(task: Task, k: int, world: World) -> None:
-    """Build the checkers that sampling asks, for which no time is charged, as for planners' spaces."""
-    phase, after = _planned(task, k), following(task, k + 1)
+    """Build the collision checkers for sampling goals, which is not timed, as spaces of planners are not."""
+    phase, after = task.phases[k], following(task, k + 1)
+    assert isinstance(phase, PlannedPhase)
     _checker(world.problem(task, phase))
     if isinstance(phase, Move) and after and isinstance(after[1], Turn):
         later = world_before(task, world, k + 1, after[0])
@@ -116,9 +109,9 @@ def _goes_on(task: Task, k: int, world: World) -> bool:
 
 
 def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: int) -> PhaseGoals:
-    """Up to count goals of a phase's problem; the draw depends on the start alone.
+    """Up to count goals of a phase's problem; the samples depend on the start alone.
 
-    Slides and turns get goals in a posture like the start's: others could only be reached by letting go.
+    Slides and turns get goals near the start's posture: others could be reached only by letting go.
     """
     assert problem.goal_region is not None
     found = sample_region(
@@ -138,5 +131,5 @@ def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: i
 
 
 def _checker(problem: PlanningProblem) -> CollisionChecker:
-    """The one that starts and goals are drawn with; a closed door is only 1 mm from its neighbour."""
+    """The checker for starts and goals; its margin is smaller with a door, which is 1 mm from its neighbour."""
     return problem.collision_checker(DOOR_MARGIN if "articulated" in problem.robot.source else SAMPLE_MARGIN)

@@ -1,11 +1,9 @@
-"""From a task to motions: phase by phase, back to another grasp where a later phase has no solution.
+"""Plan the phases of a task in order, by depth-first search over the goals of each planned phase.
 
-A task is a row of phases, a planned phase has candidates (goals): plan to one; if a later phase fails, go back to
-the last phase with candidates left and plan to another.
+If a phase fails, go back to the phase before, remove the goal reached and plan to another one.
 """
 
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,23 +20,22 @@ from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-RETRIES = 10  # how often in all a task goes back to another grasp
-REPEATED = 1e-8  # [rad] states that OMPL repeats cannot be timed
-SUBSTITUTE = "birrt"  # plans a phase that the method asked for cannot
+RETRIES = 10  # times that a task goes back to another goal
+REPEATED = 1e-8  # [rad] between states that OMPL repeats, which cannot be timed
+SUBSTITUTE = "birrt"  # plans phases that the planner asked for cannot
 
 
 @dataclass(frozen=True, eq=False)
 class PhaseOutcome:
-    """What came of a planned phase."""
+    """The result of a planned phase."""
 
     phase: PlannedPhase
-    world: World  # Before the phase
-    attempts: tuple[Solution, ...]
-    """One after another, the last one counts; after earlier ones the task went back to another grasp."""
-    trajectory: Trajectory | None = None  # Of the last attempt, when it is certified
+    world: World  # before the phase
+    attempts: tuple[Solution, ...]  # in order; the last one counts
+    trajectory: Trajectory | None = None  # of the last attempt, if it is certified
     timing_seconds: float = 0.0
-    fallback: str = ""  # Why another method than the one asked for was used, or ""
-    reason: str = ""  # Why the phase failed, or ""
+    fallback: str = ""  # why another planner than the one asked for was used, or ""
+    reason: str = ""  # why the phase failed, or ""
 
     @property
     def solution(self) -> Solution:
@@ -53,11 +50,11 @@ class PhaseOutcome:
 
 @dataclass(frozen=True, eq=False)
 class TaskSolution:
-    """What came of a task."""
+    """The result of a task."""
 
     task: Task
-    outcomes: tuple[PhaseOutcome, ...]  # Of the planned phases in order, up to the first that failed
-    world: World  # At the end
+    outcomes: tuple[PhaseOutcome, ...]  # of the planned phases in order, up to the first that failed
+    world: World  # at the end
 
     @property
     def solved(self) -> bool:
@@ -88,25 +85,25 @@ def solve_task(
 
 @dataclass(eq=False)
 class _Step:
-    """A planned phase on the way through a task, and the candidates it has left."""
+    """A planned phase and the goals that it has left."""
 
     number: int
     phase: PlannedPhase
     world: World
-    goals: np.ndarray
-    goal_seconds: float  # not yet charged to an attempt
+    goals: np.ndarray  # (k, n) [rad or m]
+    goal_seconds: float  # of sampling, until an attempt has counted it
     reason: str
     ends: int = 0
     outcome: PhaseOutcome | None = None
 
     @property
     def end(self) -> np.ndarray:
-        """Where its last path ends (n,)."""
+        """The end of its last path (n,)."""
         assert self.outcome is not None and self.outcome.solution.simplified is not None
         return self.outcome.solution.simplified.path.states[-1]
 
     def discard_end(self) -> None:
-        """Leave the goal reached out from now on."""
+        """Remove the goal reached."""
         self.ends += 1
         self.goals = self.goals[np.abs(self.goals - self.end).max(axis=1) > 1e-6]
         self.reason = f"a later phase failed from each of the {self.ends} ends reached"
@@ -125,10 +122,10 @@ class _Run:
     clearance: bool
     retries: int = RETRIES
     runs: int = 0
-    attempts: dict[int, tuple[Solution, ...]] = field(default_factory=dict)  # by phase, whatever came of them
+    attempts: dict[int, tuple[Solution, ...]] = field(default_factory=dict)  # by number of phase
 
     def solve(self) -> TaskSolution:
-        """Walk forward while phases are solved, back while they are not."""
+        """Go to the next phase when one is solved, back when it is not."""
         step = self._step(0, World.before(self.task))
         assert step is not None  # a task has a planned phase
         done: list[_Step] = []
@@ -154,7 +151,7 @@ class _Run:
             step.discard_end()
 
     def _step(self, k: int, world: World) -> _Step | None:
-        """The first planned phase from k on with its candidates; None when there is none."""
+        """The first planned phase from k on with its goals; None if there is none."""
         found = following(self.task, k)
         if found is None:
             return None
@@ -164,12 +161,12 @@ class _Run:
         began = time.perf_counter()
         goals = phase_goals(self.task, number, world)
         if len(goals.configurations) == 0 and isinstance(phase, Move):
-            self.retries = 0  # where the arm comes from makes no difference to that
+            self.retries = 0  # another start of the move would not change that
         seconds = time.perf_counter() - began
         return _Step(number, phase, world, goals.configurations, seconds, goals.reason)
 
     def _planned(self, step: _Step) -> PhaseOutcome:
-        """One planning run to the candidates left, its certificate and its timing."""
+        """One planning run to the goals left, its certificate and its timing."""
         problem = step.world.problem(self.task, step.phase)
         earlier, seconds = self.attempts.get(step.number, ()), step.goal_seconds
         step.goal_seconds = 0.0
@@ -192,7 +189,7 @@ class _Run:
         self.runs += 1
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
-        # Each phase observes a world that the one before has changed, even if an equal one was seen before.
+        # Without the cache: each phase must observe its own world, also if an equal one was observed before.
         return solve(
             problem,
             method,
@@ -204,7 +201,7 @@ class _Run:
         )
 
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:
-        """The outcome with its motion in time, whose rounded corners are certified too; or why there is none."""
+        """The outcome with its trajectory, whose rounded corners are certified too, or why there is none."""
         assert outcome.solution.simplified is not None
         problem, states = outcome.solution.problem, outcome.solution.simplified.path.states
         steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
@@ -214,19 +211,15 @@ class _Run:
                 states[np.append(True, steps > REPEATED)],
                 problem.robot.joint_limits,
                 self.timing,
-                _certifier(problem),
+                lambda curve: certify(problem, JointPath(curve), clearance=False).reasons,
             )
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
         return replace(outcome, trajectory=trajectory, timing_seconds=time.perf_counter() - began)
 
 
-def _certifier(problem: PlanningProblem) -> Callable[[np.ndarray], Sequence[str]]:
-    return lambda states: certify(problem, JointPath(states), clearance=False).reasons
-
-
 def _why(solution: Solution) -> str:
-    """Why a planning run brought no certified path."""
+    """Why a planning run has no certified path."""
     if solution.certificate is not None:
         return "; ".join(solution.certificate.reasons)
     return solution.plan.detail or str(solution.plan.status)

@@ -1,7 +1,7 @@
 """Tasks: sequences of phases in which an arm reaches, holds a door, grasps, carries and lets go.
 
-A task is a description; `world.World` is what it describes at one moment, `solve_task` plans it. Tasks are saved
-as json, schema ``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and
+`solve_task` plans it; `world.World` is one moment of it. Tasks are saved as json, schema ``cvqmpt-task/1``: "name",
+"robot", "scene" and "start" as in a problem file, and
 
     "phases": [{"kind": "move", "name", "goal": region, "constraint": [regions]},
                {"kind": "slide", "name", "distance": 0.08},
@@ -27,15 +27,13 @@ from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, 
 from cvqmpt_lab.scene.scene_files import with_files_read
 
 
-# What an arm does in a task, phase by phase: move, slide, turn a door, hold it, grasp an object, let go.
 @dataclass(frozen=True, eq=False)
 class Move(Checked):
     """The arm moves, with what it carries, until its hand is in a region."""
 
     name: Name  # Unique in its task
     goal: Region  # Poses of the end effector
-    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
-    """Regions it stays in on the way, none = free."""
+    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that it stays in on the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +61,9 @@ class Hold(Checked):
     name: Name  # Unique in its task
     articulation: Name  # Which of the scene's
     gripper: Mapping[str, Any]  # Fields of the task's robot that change, e.g. {"finger_opening": 0.0075}
-    may_touch: tuple[tuple[Name, Name], ...] = ()
-    """(Robot piece, part of the door) pairs that touch from then on."""
+    may_touch: tuple[
+        tuple[Name, Name], ...
+    ] = ()  # (Robot piece, part of the door) pairs that touch from then on
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +73,7 @@ class Grasp(Checked):
     name: Name  # Unique in its task
     object: Name  # Which of the scene's
     gripper: Mapping[str, Any]  # As in `Hold`
-    attachment: Attachment
-    """What is checked while it is carried: the object, or a little less of it where it stood on something."""
+    attachment: Attachment  # What is checked while it is carried: the object, or one that is a little smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,21 +84,21 @@ class Release(Checked):
     gripper: Mapping[str, Any]  # As in `Hold`
 
 
-PHASES = {"move": Move, "slide": Slide, "turn": Turn, "hold": Hold, "grasp": Grasp, "release": Release}
-"""Phases by the "kind" that json calls them."""
-
+PHASES = {
+    "move": Move,
+    "slide": Slide,
+    "turn": Turn,
+    "hold": Hold,
+    "grasp": Grasp,
+    "release": Release,
+}  # by "kind"
 PlannedPhase: TypeAlias = Move | Slide | Turn
 Phase: TypeAlias = Annotated[PlannedPhase | Hold | Grasp | Release, Tagged("kind", PHASES)]
 
 
 @dataclass(frozen=True, eq=False)
 class Task(Document):
-    """A named sequence of phases of a robot in a scene.
-
-    Raises
-    ------
-    InvalidInputError: a phase that cannot follow the one before, or asks for what the scene does not have; names it.
-    """
+    """A named sequence of phases of a robot in a scene."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-task/1"
 

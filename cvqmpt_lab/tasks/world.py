@@ -1,10 +1,10 @@
-"""The world in the middle of a task: where the arm is, what the hand holds, how the scene has changed."""
+"""One moment of a task: the arm's configuration, what the hand holds, the scene."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,38 +15,36 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.articulation import TakenOut, take_out
+from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
 
-IN_HAND = 0.02  # [m] an object may be from where a grasp expects it
+IN_HAND = 0.02  # [m] between an object and where a grasp expects it, at most
 
 
-@dataclass(frozen=True, eq=False)
-class Load:
+class Load(NamedTuple):
     """A carried object."""
 
-    item: SceneObject  # As it stood in the scene
-    T_hand_object: np.ndarray  # (4, 4), where it is in the hand [m]
-    attachment: Attachment  # What is checked of it
+    item: SceneObject  # as it stood in the scene
+    T_hand_object: np.ndarray  # (4, 4)
+    attachment: Attachment  # the body that is checked
 
 
-@dataclass(frozen=True)
-class HeldDoor:
+class HeldDoor(NamedTuple):
     """A door or drawer in the hand."""
 
-    name: str  # Of the scene's articulation
-    may_touch: tuple[tuple[str, str], ...]  # (Robot piece, part of the door) pairs that touch
+    name: str  # of the scene's articulation
+    may_touch: tuple[tuple[str, str], ...]  # (robot piece, part of the door) pairs that touch
 
 
 @dataclass(frozen=True, eq=False)
 class World:
     """One moment of a task."""
 
-    source: Mapping[str, Any]  # Of the arm's robot, with the gripper as it is now
-    scene: Scene  # Without what is carried, doors at their values
-    q: np.ndarray  # (n,), the arm [rad or m]
-    held: Load | HeldDoor | None = None  # What the hand holds
+    source: Mapping[str, Any]  # of the arm, with the gripper as it is now
+    scene: Scene  # without what is carried, doors at their values
+    q: np.ndarray  # (n,) of the arm [rad or m]
+    held: Load | HeldDoor | None = None
 
     @staticmethod
     def before(task: Task) -> "World":
@@ -59,7 +57,7 @@ class World:
         return robot_from_source(self.source)
 
     def problem(self, task: Task, phase: PlannedPhase) -> PlanningProblem:
-        """What a planned phase asks for, without goals."""
+        """The problem of a planned phase, without goals."""
         robot, scene, start = self.arm, self.scene, self.q
         attachments = (self.held.attachment,) if isinstance(self.held, Load) else ()
         constraint: tuple[TaskSpaceRegion, ...]
@@ -99,12 +97,7 @@ class World:
         return replace(self, scene=scene, q=q[:-1])
 
     def after(self, phase: Phase) -> "World":
-        """The world after a phase that is not planned.
-
-        Raises
-        ------
-        InvalidInputError: the hand closes where the object is not; names the phase.
-        """
+        """The world after a phase that is not planned; InvalidInputError if the hand closes beside the object."""
         match phase:
             case Hold():
                 held = HeldDoor(phase.articulation, phase.may_touch)
@@ -136,14 +129,11 @@ class World:
         )
 
 
-@lru_cache(maxsize=8)
-def _taken_out(scene: Scene, held: HeldDoor) -> TakenOut:
-    """Finding a door's casing takes 0.2 s."""
-    return take_out(scene, held.name, held.may_touch)
+_taken_out = lru_cache(maxsize=8)(take_out)  # takes 0.2 s for the casing of a door
 
 
 @lru_cache(maxsize=8)
 def _mechanism(source: str, scene: Scene, held: HeldDoor) -> tuple[Scene, Robot]:
     """A scene without the held door, and the robot with it; source: the robot's, as json."""
-    rest, door = _taken_out(scene, held)
+    rest, door = _taken_out(scene, held.name, held.may_touch)
     return rest, robot_from_source({**json.loads(source), "articulated": to_plain(door)})

@@ -1,13 +1,10 @@
-"""A smooth curve beside a polyline, at a measured distance from it.
+"""A smooth curve along a polyline, at a measured distance from it.
 
-The planner's paths are polylines; a robot that passes a corner of one without stopping would need
-infinite acceleration. An interpolating spline would bulge out at sharp corners, by far more than the
-clearance that was checked. Here the states of the polyline are control points instead: a cubic
-B-spline over arc length whose i-th control point is the polyline at the i-th knot average
-(Schoenberg's spline). It keeps straight stretches exactly, turns corners on the inside, stays within the
-range of each joint on the polyline, starts and ends where the polyline does, and has continuous
-curvature. Its distance from a corner is about a sixth of the knot spacing there times the change of
-direction, so knots are packed at corners until the distance measured is small enough.
+A robot can pass a corner of a planner's path without stopping only if the corner is rounded. The curve is Schoenberg's
+spline: a cubic B-spline over arc length whose i-th control point is the polyline at the average of knots i + 1 to
+i + 3. It keeps straight stretches, rounds corners on the inside (an interpolating spline would leave the checked
+clearance), stays in the range of each joint and has continuous curvature. Its distance from a corner is about a sixth
+of the knot spacing times the change of direction, so knots are packed at corners until that distance is small enough.
 """
 
 from dataclasses import dataclass
@@ -29,16 +26,16 @@ REFINEMENTS = 40
 
 @dataclass(frozen=True, eq=False)
 class SmoothCurve:
-    """A twice continuously differentiable curve from 0 to `length` [rad or m], about arc length."""
+    """A twice continuously differentiable curve q(s), s from 0 to `length`, about arc length [rad or m]."""
 
     spline: BSpline  # q(s) (n,) [rad or m]
     knots: np.ndarray  # (k,) distinct knots [rad]
     deviation: float  # Largest distance measured between q(s) and the polyline at s [rad]
-    marks: np.ndarray  # (m,) where the waypoints lie [rad]
+    marks: np.ndarray  # (m,) of the waypoints [rad]
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """Where the motion is worked out (g,) [rad]: knots, and places between them, more at corners."""
+        """Places (g,) [rad] at which speeds are computed: knots, and points between them, more at corners."""
         spans = np.diff(self.knots)
         parts = np.where(spans < FINE_BELOW * spans.max(), 4, 3)
         cuts = [a + np.arange(m) / m * d for a, d, m in zip(self.knots, spans, parts, strict=False)]

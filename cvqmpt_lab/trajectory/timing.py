@@ -1,4 +1,4 @@
-"""Path in, trajectory out: `time_path`."""
+"""Time a path: round its corners and find the fastest motion within speed and acceleration limits."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -12,16 +12,16 @@ from cvqmpt_lab.robot.robot import SLOW, JointLimits
 from cvqmpt_lab.trajectory.curve import SmoothCurve, checked_waypoints, smooth_curve
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-CHECKS = 5  # places an interval, ends included, at which limits are looked at again
-TIGHTENINGS = 3  # how often a refused curve is drawn closer to the path, each time to a quarter
+CHECKS = 5  # places in an interval, ends included, at which limits are checked
+TIGHTENINGS = 3  # of a refused curve, each to a quarter of the deviation
 
 
 @dataclass(frozen=True)
 class TimingSettings:
-    """How a path is timed."""
+    """Settings of `time_path`."""
 
-    speed: float = SLOW  # Factor on velocity and acceleration limits, above 0 and at most 1 (full speed)
-    deviation: float = 1e-3  # How far the motion may leave the polyline to round its corners [rad]
+    speed: float = SLOW  # factor on velocity and acceleration limits, above 0 and at most 1
+    deviation: float = 1e-3  # of the motion from the polyline at rounded corners, at most [rad]
 
 
 def time_path(
@@ -32,12 +32,8 @@ def time_path(
 ) -> Trajectory:
     """The fastest motion along waypoints (m, n) [rad] within the limits, at rest at both ends.
 
-    check: reasons against states (k, n) of the rounded path, none when they are fine, such as
+    check: faults of states (k, n) of the rounded path, such as
         ``lambda states: certify(problem, JointPath(states)).reasons``. While there are any, corners are cut less.
-
-    Raises
-    ------
-    InvalidInputError: waypoints, limits or settings that cannot be used; a path that stays refused.
     """
     settings = settings or TimingSettings()
     states = checked_waypoints(waypoints)
@@ -67,7 +63,7 @@ def _accepted_curve(
 
 
 def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
-    """Joint states on the curve's grid, slowed down by the little that limits are exceeded between its points."""
+    """Joint states on the curve's grid, slowed down where limits are exceeded between its points."""
     speeds, grid = np.sqrt(squared), curve.grid
     steps = np.diff(grid)
     times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
@@ -88,7 +84,7 @@ def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) ->
 def _excess(
     curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarray, limits: JointLimits
 ) -> float:
-    """Factor (1 or more) on time that brings every joint within its limits throughout: 1.002 is a large one."""
+    """Factor on time (1 to about 1.002) that brings every joint within its limits between grid points."""
     grid = curve.grid
     share = np.linspace(0.0, 1.0, CHECKS)
     s = (grid[:-1, None] + share * np.diff(grid)[:, None]).ravel()
@@ -100,19 +96,14 @@ def _excess(
     return float(max(1.0, velocity.max(), np.sqrt(acceleration.max())))
 
 
-# The fastest way along a fixed curve, as a convex program in the squared speed along it.
-FLAT = 1e-3  # of the typical |q'| / velocity limit: less (where all joints turn round at once) counts as this
+# The fastest motion along a curve q(s): maximise the sum of b = (ds/dt)^2 over the grid, a linear program.
+FLAT = 1e-3  # least |q'| / velocity limit, relative to the typical one: it is 0 where all joints reverse
 TOLERANCE = 1e-10  # of the linear program, whose numbers are about 1
-STANDSTILL = 1e-8  # of the typical squared speed: less is standing still
+STANDSTILL = 1e-8  # squared speed, relative to the typical one, below which the robot stands
 
 
 def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
-    """Squared speeds (g,) [rad^2/s^2] along the curve on its grid, 0 at both ends.
-
-    Raises
-    ------
-    InvalidInputError: limits under which the curve cannot be passed; names the joint and the place.
-    """
+    """Squared speeds b (g,) [rad^2/s^2] on the grid, 0 at both ends; InvalidInputError names a joint without motion."""
     grid = curve.grid
     slope = np.abs(curve.spline(grid, 1))
     slowness = (slope / limits.velocity).max(axis=1)  # least time per arc length
@@ -134,7 +125,7 @@ def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
 
 
 def _velocity_rows(curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray) -> sparse.csr_matrix:
-    """Velocity limits in the middle of those intervals where the bounds (g,) at their ends do not see to them."""
+    """Velocity limits in the middle of intervals, where bounds (g,) at their ends do not imply them."""
     middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])
     half = 0.5 * (np.abs(curve.spline(middle, 1)) / velocity).max(axis=1) ** 2
     interval = np.flatnonzero(half * (bound[1:] + bound[:-1]) > 1.0)
@@ -144,11 +135,10 @@ def _velocity_rows(curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray) 
 
 
 def _acceleration_rows(curve: SmoothCurve, acceleration: np.ndarray, bound: np.ndarray) -> sparse.csr_matrix:
-    """Matrix whose product with b (g,) must nowhere exceed 1 for all accelerations to stay within limits.
+    """Matrix A of the acceleration limits A b <= 1.
 
-    Between grid points q'' b + q' a is a parabola in s. Its three Bernstein coefficients, which enclose
-    it, are bounded: so limits hold between grid points too. Of the rows only those are kept that count while
-    b is at most bound (g,).
+    Between grid points q'' b + q' a, with a = b' / 2, is a parabola in s. Its three Bernstein coefficients, which
+    enclose it, are bounded, so limits hold between grid points too. Rows implied by b <= bound (g,) are left out.
     """
     grid = curve.grid
     steps = np.diff(grid)[:, None]
@@ -172,8 +162,8 @@ def _acceleration_rows(curve: SmoothCurve, acceleration: np.ndarray, bound: np.n
 def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """Which constraints lower x + upper y <= 1 (g - 1, r) no other one of their row implies.
 
-    For x between 0 and bound (g - 1,) and y >= 0. As limits of y these are straight lines in x: one that
-    is looser than another at both ends is looser throughout.
+    For x between 0 and bound (g - 1,) and y >= 0, as upper limits of y these are straight lines in x: one that is
+    looser than another at both ends is looser everywhere.
     """
     size = np.maximum(np.abs(upper), 1e-12)
     at_zero, at_bound = 1.0 / size, (1.0 - lower * bound[:, None]) / size
@@ -204,7 +194,7 @@ def _greatest(rows: sparse.csr_matrix, bound: np.ndarray) -> tuple[bool, np.ndar
 
 
 def _why_not(curve: SmoothCurve, limits: JointLimits, shape: np.ndarray) -> str:
-    """The joint and place that hold up the curve most, of the inner grid points."""
+    """The joint and the inner grid point with the lowest speed."""
     grid = curve.grid
     k = 1 + int(np.argmin(shape[1:-1]))
     by_velocity = (np.abs(curve.spline(grid[k], 1)) / limits.velocity) ** 2

@@ -1,4 +1,4 @@
-"""A motion in time: where each joint is, and how fast, at every moment."""
+"""Trajectories: joint positions, velocities and accelerations over time; as csv and, for ROS, as json."""
 
 import json
 from dataclasses import dataclass
@@ -29,9 +29,8 @@ class Trajectory:
     times: np.ndarray  # (k,) from 0, increasing [s]
     positions: np.ndarray  # (k, n) [rad]
     velocities: np.ndarray  # (k, n) [rad/s]
-    accelerations: np.ndarray
-    """(k, n) [rad/s^2]; where one jumps, the one that begins there (at the end, the one that ends there)."""
-    deviation: float = 0.0  # Largest distance from the path that was timed [rad]
+    accelerations: np.ndarray  # (k, n) [rad/s^2]; where one jumps, the value after the jump
+    deviation: float = 0.0  # largest distance from the path that was timed [rad]
 
     @property
     def duration(self) -> float:
@@ -39,7 +38,7 @@ class Trajectory:
         return float(self.times[-1])
 
     def at(self, t: float | np.ndarray) -> JointState:
-        """State at a time or at times (k,) [s]; before the start and after the end the arm stands still."""
+        """State at a time or at times (k,) [s]; at rest before the start and after the end."""
         moment = np.asarray(t, dtype=float)
         if not np.isfinite(moment).all():
             raise InvalidInputError(f"time {t}: give finite seconds from 0 to {self.duration:.3f}")
@@ -57,19 +56,18 @@ class Trajectory:
 
     @cached_property
     def _motion(self) -> tuple[CubicHermiteSpline, CubicHermiteSpline, CubicHermiteSpline]:
-        """Cubic pieces through positions and velocities, as a robot's controller would make them."""
+        """Cubic pieces through positions and velocities, as a robot's controller interpolates, and derivatives."""
         spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
         return spline, spline.derivative(1), spline.derivative(2)
 
 
-# Trajectories as files: csv for spreadsheets and plots, json for ROS.
+# Files.
 KINDS = ("position", "velocity", "acceleration")
 
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
-    """Write a .csv or .json file, whole or not at all."""
-    writer = _WRITERS[file_type(path)]
-    write_text(Path(path), writer(trajectory))
+    """Write a .csv or .json file."""
+    write_text(Path(path), _WRITERS[file_type(path)](trajectory))
 
 
 def file_type(path: Path | str) -> str:
@@ -92,31 +90,14 @@ def as_csv(trajectory: Trajectory) -> str:
 
 def as_ros_json(trajectory: Trajectory) -> str:
     """The fields of `trajectory_msgs/JointTrajectory`."""
-    points = [
-        {
-            "positions": q.tolist(),
-            "velocities": v.tolist(),
-            "accelerations": a.tolist(),
-            "effort": [],
-            "time_from_start": _duration(t),
-        }
-        for t, q, v, a in zip(
-            trajectory.times,
-            trajectory.positions,
-            trajectory.velocities,
-            trajectory.accelerations,
-            strict=True,
-        )
-    ]
+    points = []
+    for k, t in enumerate(trajectory.times):
+        sec, nanosec = divmod(round(1e9 * t), 1_000_000_000)
+        states = {kind: getattr(trajectory, kind)[k].tolist() for kind in JointState._fields}
+        points.append({**states, "effort": [], "time_from_start": {"sec": sec, "nanosec": nanosec}})
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     message = {"header": header, "joint_names": list(trajectory.joint_names), "points": points}
     return json.dumps(message, allow_nan=False) + "\n"
-
-
-def _duration(seconds: float) -> dict[str, int]:
-    """Whole seconds and nanoseconds."""
-    whole, rest = divmod(round(1e9 * seconds), 1_000_000_000)
-    return {"sec": whole, "nanosec": rest}
 
 
 _WRITERS = {".csv": as_csv, ".json": as_ros_json}

@@ -1,4 +1,4 @@
-"""Paths and trajectories from files, ours or others': csv, json, and ROS's `JointTrajectory` as json.
+"""Read paths and trajectories from csv, json, and ROS's `JointTrajectory` as json.
 
 A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a trajectory, whose
 columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``. A json file holds a list of
@@ -22,7 +22,7 @@ from cvqmpt_lab.trajectory.trajectory import KINDS
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a file says of a motion; numbers may be nan or infinite."""
+    """A path or trajectory of a file; numbers may be nan or infinite."""
 
     joint_names: tuple[str, ...] | None  # n names, or None where the file has none
     positions: np.ndarray  # (m, n) [rad or m]
@@ -31,7 +31,7 @@ class Motion:
     accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2], where stated
 
     def of_joints(self, names: tuple[str, ...]) -> "Motion":
-        """With joints in the order of names; InvalidInputError when they are others."""
+        """With joints in the order of names; InvalidInputError for other joints."""
         if self.joint_names is None or self.joint_names == names:
             return self
         if sorted(self.joint_names) != sorted(names):
@@ -54,16 +54,10 @@ def read_motion(path: Path) -> Motion:
     text = read_text(require_regular_file(path, "motion"), "motion")
     try:
         motion = readers[ending](text)
-    except (
-        InvalidInputError,
-        TypeError,
-        ValueError,
-        KeyError,
-        AttributeError,
-        OverflowError,
-        csv.Error,
-    ) as error:
-        why = error if isinstance(error, InvalidInputError) else shown(str(error))
+    except InvalidInputError as error:
+        raise InvalidInputError(f"motion {path} is not understood: {error}") from error
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError, csv.Error) as error:
+        why = shown(str(error))
         raise InvalidInputError(f"motion {path} is not understood: {why}") from error
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
@@ -96,14 +90,14 @@ def _from_csv(text: str) -> Motion:
         raise InvalidInputError(
             f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
         )
-    kinds = [
+    position, *rest = (
         np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
         if any(column.endswith(f"_{kind}") for column in header)
         else None
         for kind in KINDS
-    ]
-    assert kinds[0] is not None
-    return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
+    )
+    assert position is not None
+    return Motion(names, position, columns["time"], *rest)
 
 
 def _is_number(text: str) -> bool:
