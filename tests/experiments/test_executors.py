@@ -53,11 +53,6 @@ def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkey
         os.kill(hung, 0)
 
 
-def test_another_error_of_a_task_is_raised():
-    with local_processes(2) as executor, pytest.raises(TypeError):
-        list(executor.results(abs, [1, "no number"]))
-
-
 def process_id(_):
     return os.getpid()
 

@@ -13,10 +13,9 @@ from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.vqmpt.latent_update import LatentObjective
 from experiments import regression
-from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, made_with, measure
-from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable
+from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, measure
+from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suite_tables import render_directory
 
 FEW = (Case("birrt", 2, 0, 20_000), Case("birrt", 2, 1, 20_000), Case("ompl-projected", 2, 1, 20_000))
@@ -61,56 +60,6 @@ def test_a_changed_planner_turns_red_here_and_a_broken_one_also_elsewhere(few, m
     assert reasons == ["fail_reason was None, is iteration_limit"] * 2
 
 
-TOUCHED = tuple(
-    Case(planner, 5, 0, 20_000) for planner in ("birrt", "cvq-mpt", "opt-cvq-mpt", "opt-algorithm-2")
-)
-
-
-@pytest.fixture(scope="module")
-def unbroken():
-    """Outcomes of TOUCHED by everything as it is."""
-    return measure(TOUCHED)
-
-
-def means_alone(mixture, rng, count):
-    """A sampler that forgets its covariances."""
-    return mixture.means[rng.choice(len(mixture.means), count, p=mixture.weights)]
-
-
-def uphill(objective, *arguments, original=LatentObjective.value_and_gradient):
-    """A gradient with the wrong sign."""
-    value, gradient = original(objective, *arguments)
-    return value, -gradient
-
-
-def to_one_goal(planner, space, start, goals, *rest, original=BiRRT.search):
-    """A planner that overlooks all goals but the first."""
-    return original(planner, space, start, goals[:1], *rest)
-
-
-@pytest.mark.parametrize(
-    ("where", "name", "broken", "turn_red"),
-    [
-        (GaussianMixture, "sample", means_alone, ["cvq-mpt", "opt-cvq-mpt", "opt-algorithm-2"]),
-        (LatentObjective, "value_and_gradient", uphill, ["opt-algorithm-2"]),
-        (BiRRT, "search", to_one_goal, ["birrt", "cvq-mpt", "opt-cvq-mpt", "opt-algorithm-2"]),
-    ],
-    ids=["sampler", "optimizer", "planner"],
-)
-def test_a_part_broken_on_purpose_turns_red_those_that_use_it(
-    unbroken, tmp_path, monkeypatch, capsys, where, name, broken, turn_red
-):
-    monkeypatch.setattr(regression, "CASES", TOUCHED)
-    Expectations(made_with(), unbroken).save(tmp_path / "e.json")
-    words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(tmp_path)]
-    assert main(words) == 0
-    monkeypatch.setattr(where, name, broken)
-    capsys.readouterr()
-    assert main(words) == 1
-    red = [line.split()[1].rstrip(",") for line in capsys.readouterr().out.splitlines() if "differs:" in line]
-    assert red == turn_red
-
-
 def outcome(seed=0, planner="birrt", **values):
     plain = dict.fromkeys(regression.COLUMNS, 100) | {
         "fail_reason": None,
@@ -147,13 +96,6 @@ def test_equality_here_and_stated_bounds_elsewhere(changes, exactly, by_bounds):
 def test_runs_without_expectation_and_expectations_without_run_are_named():
     _, found = compare(Expectations(HERE, outcome(0) | outcome(1)), outcome(1) | outcome(2), HERE)
     assert [line.split(", ")[2] for line in found] == ["seed 0", "seed 2"]
-
-
-def test_expectations_come_back_exactly(few, tmp_path):
-    expected = Expectations(made_with(), few)
-    expected.save(tmp_path / "e.json")
-    assert Expectations.load(tmp_path / "e.json") == expected
-    assert [path.name for path in tmp_path.iterdir()] == ["e.json"]
 
 
 @pytest.mark.parametrize(
@@ -261,13 +203,6 @@ def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words, contin
     needs = {"cvq-mpt": ("vq_mpt",) if "weights" in words else ()}
     (line,) = untraceable(tmp_path, lambda planner: needs.get(planner, ()))
     assert words in line
-
-
-def test_committed_tables_are_a_fresh_rendering(part):
-    """Some of them: `cvqmpt check-tables` renders all."""
-    assert [
-        line for folder in part(committed_directories(RESULTS), 6) for line in differing_cells(folder)
-    ] == []
 
 
 # ---------------------------------------------------------------- the command

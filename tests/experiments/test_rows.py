@@ -121,11 +121,3 @@ def test_every_planner_builds_the_field_of_a_new_scene_and_that_of_a_known_one_i
         outcome_of(Run(suite, 0, name, 0, Budget(iterations=1)), item, 0.0)
         found.append(len(clouds_seen) - before)
     assert found[1:] == built
-
-
-def test_every_planner_builds_the_fields_of_a_tasks_phases(clouds_seen):
-    task = multi_sequence_task(0)
-    for name in ("roadmap-cvq", "cvq-mpt"):
-        before = len(clouds_seen)
-        outcome_of(Run("multi-sequence", 0, name, 0, Budget(iterations=20_000)), task, 0.0)
-        assert len(clouds_seen) >= before + 4, name

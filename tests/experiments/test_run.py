@@ -2,28 +2,21 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import asdict, replace
-from pathlib import Path
 
-import numpy as np
-import pebble
 import pytest
+from command_line import start
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
-from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.vqmpt.weights import resolve_model, weights_digest
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments import run as runner
-from experiments.run import Experiment, executor_for, models_of, run_experiment, weights_of
+from experiments.run import Experiment, executor_for, run_experiment, weights_of
 
-ROOT = Path(__file__).resolve().parents[2]
 ENOUGH = Budget(iterations=20_000)
 ONE = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)
 FOUR = replace(ONE, problems=(2, 10), planners=("birrt", "guided-birrt"))
@@ -93,57 +86,22 @@ def test_a_larger_experiment_adds_to_the_rows_and_another_budget_is_refused(tmp_
     assert read_rows(tmp_path / RUNS_FILE) == both
 
 
-def test_failures_are_rows_with_a_reason(tmp_path):
-    (row,) = run(replace(ONE, problems=(5,), budget=Budget(iterations=1)), tmp_path)
-    assert (row.solved, row.fail_reason) == (False, "iteration_limit")
-    assert row.path_sha256 is None and row.path_length_rad is None and row.n_iterations == 1
-
-
-def in_place_of_planning(item):
-    """What happens to the worker of a run on an item."""
-    if item == 10:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if item == 15:
-        os.kill(os.getpid(), signal.SIGSTOP)
-    if item == 20:
-        np.empty(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), np.uint8)
-    if item == 25:
-        raise ZeroDivisionError("by nothing")
-
-
-def test_a_run_that_is_lost_is_a_failure_row_and_costs_no_other_run(tmp_path, monkeypatch):
+def test_a_lost_run_is_a_failure_row_and_is_not_tried_again(tmp_path, monkeypatch):
     plan = runner.outcome_of
 
     def outcome_of(run, item, seconds):
-        if run.budget == ENOUGH:  # and not that of the warm-up
-            in_place_of_planning(run.item)
+        if run.budget == ENOUGH and item == 10:  # the warm-up has another budget
+            os.kill(os.getpid(), signal.SIGKILL)
+        if run.budget == ENOUGH and item == 25:
+            raise ZeroDivisionError("by nothing")
         return plan(run, item, seconds)
 
     monkeypatch.setattr(runner, "outcome_of", outcome_of)
-    monkeypatch.setattr(Experiment, "limit_s", 4.0)
-    monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
-    six = replace(ONE, problems=(2, 10, 15, 20, 25, 5))
-    rows = run(six, tmp_path, jobs=2)
-    assert [(row.problem, row.fail_reason) for row in rows] == [
-        ("2", None),
-        ("5", None),
-        ("10", "worker_died"),
-        ("15", "worker_hung"),
-        ("20", "out_of_memory"),
-        ("25", "planner_error"),
-    ]
-    told = ("SIGKILL; perhaps memory ran out, twice", "in 4 s; its process was ended", "Unable to allocate")
-    assert all(words in row.detail for words, row in zip(told, rows[2:], strict=False))
-    assert rows[5].detail == "ZeroDivisionError: by nothing"
-    assert run(six, tmp_path) == rows, "what killed a worker is not tried again"
-
-
-def test_a_run_may_take_far_longer_than_its_budget_before_it_counts_as_hung():
-    def limit(**budget):
-        return replace(ONE, budget=Budget(**budget)).limit_s
-
-    assert limit(seconds=10.0) == 600.0
-    assert limit(seconds=10.0, iterations=100) == limit(iterations=100) < limit(iterations=10**6)
+    three = replace(ONE, problems=(2, 10, 25))
+    rows = run(three, tmp_path, jobs=2)
+    assert [row.fail_reason for row in rows] == [None, "worker_died", "planner_error"]
+    assert rows[2].detail == "ZeroDivisionError: by nothing"
+    assert run(three, tmp_path) == rows
 
 
 def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
@@ -169,72 +127,29 @@ def test_bad_experiments_are_refused_by_name(values, error, words):
         replace(FOUR, **values)
 
 
-def wait_for_rows(process, out, count):
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and process.poll() is None:
-        partial = out / PARTIAL_FILE
-        if partial.is_file() and partial.read_bytes().count(b"\n\n") >= count:
-            return
-        time.sleep(0.02)
-    pytest.fail("the run ended before it could be interrupted, or made no rows")
-
-
-def processes_of_session(session):
-    """Ids of the processes that still live in a session."""
-    alive = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, _, its_session = stat.read_text().rpartition(")")[2].split()[:4]
-        except OSError:
-            continue
-        if int(its_session) == session and state != "Z":
-            alive.append(int(stat.parent.name))
-    return alive
-
-
 @pytest.mark.slow
 def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues(tmp_path):
     words = "reproduce place-task --problems 4 --planners birrt --seeds 30 --iterations 20000 --jobs 2"
-    task = words.split()
-    with (tmp_path / "stderr").open("w") as errors:
-        started = subprocess.Popen(
-            [sys.executable, "-m", "cli.main", *task, "--out", str(tmp_path / "out")],
-            cwd=ROOT,
-            stderr=errors,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-            # A shell in the background makes its children deaf to Ctrl-C: a person's terminal does not.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-        )
-    try:
-        wait_for_rows(started, tmp_path / "out", 2)
-        os.killpg(started.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
-        assert started.wait(timeout=30) == 130
-        deadline = time.monotonic() + 5
-        while processes_of_session(started.pid) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert processes_of_session(started.pid) == []
-    finally:
-        for pid in processes_of_session(started.pid):
-            os.kill(pid, signal.SIGKILL)
-        started.wait()
-    told = (tmp_path / "stderr").read_text()
-    assert told.splitlines()[-1].startswith("cvqmpt: interrupted; what was finished is kept")
-    assert "Traceback" not in told
-    kept = read_rows(tmp_path / "out" / RUNS_FILE)
+
+    def hear_ctrl_c():  # which a shell in the background makes its children deaf to
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    started, partial = start((*words.split(), "--out", tmp_path), hear_ctrl_c), tmp_path / PARTIAL_FILE
+    while not partial.is_file() or partial.read_bytes().count(b"\n\n") < 2:
+        assert started.poll() is None, "the run ended before it could be interrupted"
+        time.sleep(0.02)
+    os.killpg(started.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
+    error = started.communicate(timeout=30)[1]
+    assert started.returncode == 130 and "Traceback" not in error
+    assert error.splitlines()[-1].startswith("cvqmpt: interrupted; what was finished is kept")
+    time.sleep(1.0)
+    with pytest.raises(ProcessLookupError):
+        os.killpg(started.pid, 0)
+    kept = read_rows(tmp_path / RUNS_FILE)
     assert 2 <= len(kept) < 120 and len(set(keys(kept))) == len(kept)
     last = max(kept, key=lambda row: row.seed)
-    more = replace(ONE, problems=(int(last.problem),), seeds=(last.seed, 30))
-    rows = run(more, tmp_path / "out")
+    rows = run(replace(ONE, problems=(int(last.problem),), seeds=(last.seed, 30)), tmp_path)
     assert len(rows) == len(kept) + 1 and [row for row in rows if row in kept] == kept
-
-
-def test_only_planners_that_need_weights_name_them():
-    digests = {name: weights_digest(resolve_model(name)) for name in ("mpnet", "vq_mpt")}
-    assert weights_of(("birrt", "tb-rrt")) == {}
-    assert weights_of(("birrt", "roadmap-cvq")) == {"vq_mpt": digests["vq_mpt"]}
-    assert weights_of(tuple(PLANNERS)) == digests
-    assert {models_of(name) for name in CONTROLS} == {(), ("vq_mpt",)}
 
 
 def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):

@@ -17,16 +17,7 @@ from cvqmpt_lab.errors import LONGEST_LINE, CvqmptError
 MEMORY = 2**30  # [bytes] more than the process had at first
 HANG = 20.0  # [s] of wall time after which a file is given up
 FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind")
-CHANGING = (
-    "os.remove",
-    "os.rename",
-    "os.rmdir",
-    "os.mkdir",
-    "os.link",
-    "os.symlink",
-    "os.chmod",
-    "shutil.rmtree",
-)
+CHANGING = tuple(f"os.{call}" for call in ("remove", "rename", "rmdir", "mkdir", "link", "symlink", "chmod"))
 
 # of the process that reads:
 reader, folder = None, Path()

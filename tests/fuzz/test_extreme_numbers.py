@@ -15,19 +15,12 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, PlanStatus
 
-LONGEST = (
-    10.0  # [s] of processor time of a plan, arrays of 10 000 obstacles, goals, shortening and proof included
-)
+LONGEST = 10.0  # [s] of processor time of a plan, all its stages included
 READY = np.array([0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8])
 EMPTY = Scene("empty", ())
 TINIEST = 5e-324
-ANY = (
-    "birrt",
-    "guided-birrt",
-    "cvq-mpt",
-    "roadmap-cvq",
-    "mpnet",
-)  # planners of problems without a constraint
+ENDED = (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT)
+ANY = ("birrt", "guided-birrt", "cvq-mpt", "roadmap-cvq", "mpnet")  # plan without a constraint too
 
 
 def between(rng, scene=EMPTY, spread=0.5):
@@ -88,12 +81,8 @@ def narrow(rng, width=0.0):
     """The hand keeps its height to within a width [m]; goals are drawn from a region of the same height."""
     problem = between(rng)
     T = problem.robot.pose(problem.start)
-    return replace(
-        problem,
-        constraint=(region(T, FREE, width / 2, FREE),),
-        goals=problem.goals[:0],
-        goal_region=region(T, 0.15, 0.0, 0.3),
-    )
+    level, goals = region(T, FREE, width / 2, FREE), region(T, 0.15, 0.0, 0.3)
+    return replace(problem, constraint=(level,), goals=problem.goals[:0], goal_region=goals)
 
 
 def crowded(rng, count, size, far):
@@ -153,10 +142,7 @@ def test_plans(make, solved, planners, budget, trials):
         assert time.process_time() - began < LONGEST, (seed, planner)
         plan = solution.plan
         if plan.path is None:
-            assert not solved and plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT), (
-                seed,
-                planner,
-            )
+            assert not solved and plan.status in ENDED, (seed, planner)
             assert plan.seconds < (budget.seconds or np.inf) + 1.0, (seed, planner)
         else:
             assert solution.certificate.valid and solved is not False, (seed, planner, solution.certificate)

@@ -19,7 +19,7 @@ from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.stages import roadmap_path
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_model
-from experiments.bench.perception import area, calibration_error
+from experiments.bench.perception import area
 from experiments.suites.place_task import place_problem
 
 
@@ -28,12 +28,6 @@ def test_the_area_counts_pairs_in_order():
     score, free = rng.integers(0, 8, 300).astype(float), rng.random(300) < 0.4
     above = score[free][:, None] - score[~free]
     assert area(score, free) == pytest.approx(((above > 0) + 0.5 * (above == 0)).mean())
-
-
-def test_calibration_compares_said_with_seen():
-    odds = np.repeat(np.log([0.25 / 0.75, 0.85 / 0.15]), 100)
-    free = np.concatenate([np.arange(100) < 25, np.arange(100) < 65])
-    assert calibration_error(odds, free) == pytest.approx(0.5 * 0.2)
 
 
 @pytest.fixture(scope="module")

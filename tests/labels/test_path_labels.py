@@ -13,12 +13,11 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation, path_labels
 from cvqmpt_lab.labels.generation import generate
-from cvqmpt_lab.labels.path_labels import PathRecipe, dataset_card
+from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
-from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
-from cvqmpt_lab.search.motion import motion_free
+from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.stage1 import LinkPositions
 
@@ -115,12 +114,6 @@ def test_a_dataset_from_before_robots_had_a_name_in_it_goes_on(tiny, tmp_path):
         make(tmp_path / "old", replace(TINY, robot={"name": "ur5"}))
 
 
-def test_the_card_counts_what_is_there(tiny):
-    dataset, card = open_dataset(tiny), dataset_card(tiny)
-    assert f"| all | {len(dataset.scenes)} | {(dataset.paths.twin_of < 0).sum()} |" in card
-    assert json.loads((tiny / "dataset.json").read_text())["recipe"]["scenes"] == 6
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -134,20 +127,3 @@ def test_bad_input_is_named(capsys, tmp_path, options, says):
     assert main(["data", "generate", "--out", str(tmp_path / "d"), *options.split()]) == 2
     error = capsys.readouterr().err.strip()
     assert says in error and error.count("\n") == 0
-
-
-def test_more_restarts_make_shorter_labels():
-    scene = family_scene("cubes-spheres", generation.FIRST_SCENE + 4)
-    space, rng = path_labels.unconstrained_space(panda(), scene), np.random.default_rng(0)
-    states = space.robot.random_configurations(rng, 600)
-    states = states[space.valid_batch(states)]
-    pairs = [(a, b) for a, b in zip(states[::2], states[1::2], strict=False) if np.linalg.norm(a - b) < 4.0]
-    pairs = [(a, b) for a, b in pairs if not motion_free(space.arrays, a, b)]
-    lengths = []
-    for a, b in pairs[:8]:
-        settings = [NearShortestSettings(restarts=count) for count in (1, 12)]
-        paths = [near_shortest(space, a, b, np.random.default_rng(1), each) for each in settings]
-        if all(paths):
-            lengths.append([path.length for path in paths])
-            np.testing.assert_array_equal(paths[0].states[[0, -1]], [a, b])
-    assert len(lengths) >= 3 and np.diff(np.mean(lengths, axis=0)) < 0.0

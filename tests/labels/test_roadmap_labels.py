@@ -10,7 +10,7 @@ from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.shards import FULL_SCALE, RoadmapGraph, finished_shards, read_roadmap_shards
+from cvqmpt_lab.training.shards import FULL_SCALE, RoadmapGraph, read_roadmap_shards
 
 TINY = RoadmapRecipe(4, 12, ("table", "cage"))
 
@@ -84,21 +84,6 @@ def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(
         assert dataset.scenes.seed[scene] == arrays["scene_seed"][arrays["path_scene"][row]]
 
 
-def test_every_family_validates_equally_often():
-    recipe = RoadmapRecipe(7 * 40, 1)
-    numbers = [recipe.scene_of(index) for index in range(recipe.scenes)]
-    validate = [family for family, number in numbers if number % 20 == 0]
-    assert sorted(validate) == sorted(2 * list(range(7)))
-    assert len(set(numbers)) == recipe.scenes
-
-
-def test_interrupted_generation_ends_in_the_same_bytes(tiny):
-    before = {row.shard: row.sha256 for row in finished_shards(tiny)}
-    (tiny / "shards" / "000001.npz").unlink()
-    make(tiny)
-    assert {row.shard: row.sha256 for row in finished_shards(tiny)} == before
-
-
 def test_labels_of_another_dictionary_are_not_continued(tiny, tmp_path):
     graph = RoadmapGraph.read(tiny)
     other = RoadmapGraph(graph.nodes + 0.1, graph.edges, graph.node_possible, graph.edge_possible)
@@ -111,8 +96,3 @@ def test_a_damaged_roadmap_says_so(tiny, tmp_path):
     (tmp_path / "roadmap.npz").write_bytes((tiny / "roadmap.npz").read_bytes()[:200])
     with pytest.raises(InvalidInputError, match="not a readable archive"):
         RoadmapGraph.read(tmp_path)
-
-
-def test_the_card_says_how_often_the_scene_changes_the_path(tiny):
-    card = (tiny / "README.md").read_text()
-    assert "| table | 2 |" in card and "| all | 4 | 2 | " in card

@@ -62,27 +62,18 @@ def trained(out):
     return [path.read_bytes() for path in sorted(out.glob("model/*.safetensors"))], curves(out)
 
 
+def untimed_rows(out):
+    return [*map(untimed, read_rows(out / RUNS_FILE))]
+
+
 def reproduce(folder):
-    words = (
-        "reproduce",
-        "place-task",
-        "--problems",
-        3,
-        "--planners",
-        "birrt",
-        "--iterations",
-        300,
-        "--jobs",
-        2,
-    )
-    return Command(
-        words, lambda out: [*map(untimed, read_rows(out / RUNS_FILE))], lambda out: set(), run_here
-    )
+    options = "--problems 3 --planners birrt --iterations 300 --jobs 2"
+    return Command(("reproduce", "place-task", *options.split()), untimed_rows, lambda out: set(), run_here)
 
 
 def generate(folder):
-    words = ("data", "generate", "--scenes", 48, "--paths-per-scene", 1, "--family", "table", "--jobs", 2)
-    return Command(words, shards, kept_shards)
+    options = "--scenes 48 --paths-per-scene 1 --family table --jobs 2"
+    return Command(("data", "generate", *options.split()), shards, kept_shards)
 
 
 def train(folder):

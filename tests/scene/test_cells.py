@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cells import cells_of, distinct, exposed, merged
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud, Shape, bounding_radius
+from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 
 def filled(boxes):
@@ -40,14 +39,6 @@ def test_cells_hold_the_points_of_a_cloud_wherever_its_origin_lies():
         )
 
 
-@pytest.mark.parametrize("spread", [1.0, 500.0])
-def test_each_index_is_kept_once(spread):
-    """Small grids are searched as a whole, large ones sorted."""
-    index = (np.random.default_rng(2).random((4000, 3)) * spread).astype(np.int64)
-    index = np.concatenate([index, index[:100]])
-    assert np.array_equal(distinct(index), np.unique(index, axis=0))
-
-
 def test_cells_of_a_map_are_those_in_reach():
     cells = np.array([[0, 0, 0], [9, 0, 0], [10, 0, 0], [10, 0, 0], [-50, 3, 2]], dtype=float)
     found = cells_of(OccupancyMap(cells, 0.1, 0.05), pose((0.0, 0.0, 0.5)), reach=1.0)
@@ -59,14 +50,6 @@ def test_cells_inside_a_block_are_not_exposed():
     block = np.argwhere(np.ones((4, 5, 6), dtype=bool)) - 3
     middle = ((block > -3) & (block < (0, 1, 2))).all(axis=1)
     assert np.array_equal(exposed(block), ~middle)
-
-
-def test_a_map_is_written_and_read_as_whole_numbers():
-    scanned = OccupancyMap(np.array([[1.0, -2.0, 3.0]]), 0.05, 0.01)
-    data = to_plain(scanned, Shape)
-    assert data == {"type": "occupancy_map", "cells": [[1, -2, 3]], "resolution": 0.05, "padding": 0.01}
-    assert from_plain(Shape, data) == scanned
-    assert bounding_radius(scanned) == pytest.approx(0.05 * np.sqrt(4 + 4 + 16) + 0.01)
 
 
 def test_a_map_is_not_carried():

@@ -46,18 +46,6 @@ def test_objects_follow_the_documented_draws(seed, n_cubes, n_spheres):
         assert scene[f"sphere_{i}"].shape == Sphere(0.15)
 
 
-def test_environments_are_reproducible_and_differ():
-    assert random_scene(5) == random_scene(5)
-    assert random_scene(5) != random_scene(6)
-
-
-def test_the_global_generator_is_left_alone():
-    np.random.seed(3)  # noqa: NPY002
-    expected = np.random.RandomState(3).random_sample()
-    random_scene(11)
-    assert np.random.random_sample() == expected  # noqa: NPY002
-
-
 @pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 0.5}, {"seed": 0, "n_cubes": -1}, {"seed": True}])
 def test_numbers_that_are_no_counts_are_refused(bad):
     with pytest.raises(InvalidInputError, match="must be an integer"):

@@ -96,14 +96,8 @@ BAD = {
     "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
     "points.obj": (b"v 0 0 0\nv 1 0 0\n", "obj"),
     "empty.stl": (b"", "cut short"),
-    "billion.stl": (
-        bytes(80) + (10**9).to_bytes(4, "little") + bytes(50),
-        "has 1000000000 triangles in 50000000084 bytes, the file has 134",
-    ),
-    "cut.stl": (
-        box((1, 1, 1)).export(file_type="stl")[:-70],
-        "has 12 triangles in 684 bytes, the file has 614: cut short",
-    ),
+    "billion.stl": (bytes(80) + (10**9).to_bytes(4, "little") + bytes(50), "the file has 134"),
+    "cut.stl": (box((1, 1, 1)).export(file_type="stl")[:-70], "cut short"),
     "page.dae": (b"<!DOCTYPE html><html></html>", "dae"),
     "none.dae": (b"<?xml version='1.0'?><COLLADA version='1.4.1'/>", "dae"),
 }
@@ -129,11 +123,8 @@ def test_names_in_another_encoding_do_not_matter(tmp_path):
 @pytest.mark.parametrize(
     ("vertices", "message"),
     [
-        (
-            [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]],
-            "not in one plane, and at least 0.1 mm thick",
-        ),
-        ([[0, 0, 0], [1e300, 0, 0], [0, 1e300, 0], [0, 0, 1e300]], r"one is 1e\+300 m off: give metres"),
+        ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]], "not in one plane"),
+        ([[0, 0, 0], [1e300, 0, 0], [0, 1e300, 0], [0, 0, 1e300]], "m off: give metres"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "got 3 points"),
     ],
 )

@@ -72,13 +72,6 @@ def test_what_moves_an_object_moves_its_pieces(data, tmp_path):
     assert scene.articulation("lift").moves == (*pieces, "crate")
 
 
-def test_the_hand_may_carry_a_mesh(data, tmp_path):
-    shape = {"type": "mesh_file", "path": "parts/box.obj", "scale": 0.5}
-    data["attachments"] = [{"name": "load", "shape": shape, "T_hand_object": np.eye(4).tolist()}]
-    (load,) = PlanningProblem.load(saved(data, tmp_path)).attachments
-    np.testing.assert_allclose(np.ptp(load.shape.vertices, axis=0), 0.05)
-
-
 def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp_path):
     whole = PlanningProblem.load(saved(data, tmp_path))
     shapes = data["scene"]["objects"]

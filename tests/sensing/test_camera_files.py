@@ -10,6 +10,7 @@ from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 
 PLAIN = {"width": 640, "height": 480, "fx": 525.0, "fy": 526.0, "cx": 319.5, "cy": 239.5}
+SIZE = {"width": 640, "height": 480}
 K = [525.0, 0.0, 319.5, 0.0, 526.0, 239.5, 0.0, 0.0, 1.0]
 BY_COLUMN = np.reshape(K, (3, 3)).T.ravel().tolist()
 ROS = """
@@ -28,9 +29,9 @@ INTRINSICS = {
     "tabs.json": json.dumps(PLAIN, indent="\t"),
     "plain.yaml": "\n".join(f"{key}: {value}" for key, value in PLAIN.items()),
     "ros.yaml": ROS,
-    "message.yml": json.dumps({"width": 640, "height": 480, "K": K, "D": [0.0] * 5}),
-    "nested.json": json.dumps({"width": 640, "height": 480, "K": np.reshape(K, (3, 3)).tolist()}),
-    "open3d.json": json.dumps({"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMN}),
+    "message.yml": json.dumps({**SIZE, "K": K, "D": [0.0] * 5}),
+    "nested.json": json.dumps({**SIZE, "K": np.reshape(K, (3, 3)).tolist()}),
+    "open3d.json": json.dumps({**SIZE, "intrinsic_matrix": BY_COLUMN}),
 }
 
 
@@ -43,19 +44,13 @@ def test_intrinsics_are_read_as_calibrations_write_them(name, tmp_path):
 BAD_INTRINSICS = {
     "missing": ({**PLAIN, "fx": None}, "fx is None"),
     "focal": ({**PLAIN, "fx": -525.0}, "fx is -525"),
-    "principal": (
-        {**PLAIN, "cx": 900.0},
-        r"principal point \(900, 239.5\) is outside the image of 640 x 480",
-    ),
+    "principal": ({**PLAIN, "cx": 900.0}, r"principal point \(900, 239.5\) is outside"),
     "unknown": ({**PLAIN, "focal": 1.0}, "focal is unknown"),
-    "list": ([1, 2], "must be an object with width, height"),
-    "distorted": (
-        {"width": 640, "height": 480, "K": K, "D": [0.1, 0, 0, 0]},
-        "the lens distorts; give rectified",
-    ),
-    "skewed": ({"width": 640, "height": 480, "K": [*K[:1], 3.0, *K[2:]]}, r"it must be \[\[fx, 0, cx\]"),
-    "short": ({"width": 640, "height": 480, "K": K[:8]}, r"K has shape \(8,\)"),
-    "words": ({"width": 640, "height": 480, "K": "none"}, "K"),
+    "list": ([1, 2], "must be an object"),
+    "distorted": ({**SIZE, "K": K, "D": [0.1, 0, 0, 0]}, "the lens distorts"),
+    "skewed": ({**SIZE, "K": [*K[:1], 3.0, *K[2:]]}, r"it must be \[\[fx, 0, cx\]"),
+    "short": ({**SIZE, "K": K[:8]}, r"K has shape \(8,\)"),
+    "words": ({**SIZE, "K": "none"}, "K"),
     "no size": ({"K": K}, "width is None"),
     "huge": ({**PLAIN, "width": 10**400}, "width"),
 }
@@ -126,7 +121,5 @@ def test_bad_files_are_refused_by_field_in_one_line(read, name, text, message, t
 
 
 def test_another_suffix_is_refused(tmp_path):
-    with pytest.raises(
-        CvqmptError, match=r"kind of intrinsics cam.xml: suffix '.xml'; valid choices: .json, .yaml"
-    ):
+    with pytest.raises(CvqmptError, match=r"suffix '\.xml'"):
         read_intrinsics(tmp_path / "cam.xml")

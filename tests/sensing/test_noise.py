@@ -10,7 +10,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
-from cvqmpt_lab.sensing.noise import DepthNoise, Materials, MaterialShares, measured
+from cvqmpt_lab.sensing.noise import DepthNoise, Materials, measured
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.virtual import solids_of
 
@@ -84,14 +84,6 @@ def test_flying_pixels_lie_between_the_surfaces_and_only_at_edges():
     assert not (between | lost)[~edge].any()
 
 
-def test_pixels_look_aside():
-    """On a slanted plate that gives the noise along the ray that its slope says."""
-    lateral = DepthNoise(**{item.name: 0.0 for item in fields(DepthNoise)} | {"lateral": 0.5})
-    slope = 1.5 * np.tan(1.0) * 2.0 * np.tan(np.radians(32.5)) / 288  # depth from one column to the next [m]
-    moved = np.rint(0.5 * np.random.default_rng(0).standard_normal(100_000)).std()
-    assert spread(plate(1.5, turn=1.0), of_one(0.8), lateral) == pytest.approx(slope * moved, rel=0.15)
-
-
 def test_without_errors_the_view_comes_back_and_depths_are_whole_units():
     solids = plate(1.5, turn=0.3)
     true, found = seen(solids, of_one(0.8, 0.7), DepthNoise(quantum=0.0).times(0.0))
@@ -106,15 +98,8 @@ def test_errors_depend_on_the_seed_alone_and_offsets_are_the_images():
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
     offset = DepthNoise(**{item.name: 0.0 for item in fields(DepthNoise)} | {"offset": 0.0037})
-    means = [np.mean(np.subtract(*seen(plate(1.5), of_one(0.8), offset, seed))) for seed in range(60)]
-    assert np.std(means) == pytest.approx(0.0037, rel=0.3)
-
-
-def test_materials_are_drawn_in_their_shares():
-    drawn = MaterialShares(dark=0.2, shiny=0.3).drawn(5000, np.random.default_rng(0))
-    assert np.mean(drawn.reflectivity <= 0.1) == pytest.approx(0.2, abs=0.02)
-    assert np.mean(drawn.gloss > 0.0) == pytest.approx(0.3, abs=0.02)
-    assert not ((drawn.gloss > 0.0) & (drawn.reflectivity < 0.3)).any()
+    means = [np.mean(np.subtract(*seen(plate(1.5), of_one(0.8), offset, seed))) for seed in range(25)]
+    assert np.std(means) == pytest.approx(0.0037, rel=0.4)
 
 
 def test_errors_are_checked():

@@ -36,13 +36,6 @@ def occupied(scanned, places):
     return [tuple(cell) in taken for cell in np.floor(np.array(places) / scanned.resolution).astype(int)]
 
 
-def test_cells_hold_every_point_and_nothing_else():
-    points = np.random.default_rng(0).normal(0.0, 0.3, (5000, 3))
-    scanned = occupancy_map(points, MapSettings(resolution=0.05, padding=0.01))
-    assert all(occupied(scanned, points)) and scanned.padding == 0.01
-    assert np.array_equal(scanned.cells, np.unique(np.floor(points / 0.05), axis=0))
-
-
 def sight(origin, points):
     """What a camera at origin (3,) saw of points (m, 3) in the world."""
     return Capture(points - origin, T_world_camera=pose(origin))

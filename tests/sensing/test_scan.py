@@ -25,15 +25,6 @@ def cleaned(capture, arm=None, **settings):
     return scan([capture], ScanSettings(**settings), np.random.default_rng(0), arm)
 
 
-def test_the_report_counts_what_each_filter_took(files, capture):
-    made = cleaned(capture, Arm(files.robot, files.q), crop=CROP)
-    assert [step.name for step in made.steps] == ["crop", "voxels", "robot", "outliers"]
-    assert made.steps[0].before == len(capture.points) and made.steps[-1].after == len(made.points)
-    for one, next_one in zip(made.steps, made.steps[1:], strict=False):
-        assert one.after == next_one.before <= one.before
-    assert CROP.contains(made.points).all()
-
-
 def test_the_arm_in_the_picture_is_no_obstacle(files, capture):
     arm = Arm(files.robot, files.q)
     with_arm, made = cleaned(capture), cleaned(capture, arm)

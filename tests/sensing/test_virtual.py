@@ -4,14 +4,12 @@ from itertools import compress
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.path_labels import SHAPES
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.families import FAMILIES, family_scene, random_scene
+from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
@@ -23,8 +21,6 @@ from cvqmpt_lab.sensing.virtual import (
     camera_cloud,
     visible_points,
 )
-from cvqmpt_lab.training.dataset import Shapes
-from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, sample_cloud
 
 
 def test_the_published_kitchen_cloud(open_kitchen):
@@ -56,35 +52,6 @@ def test_clouds_depend_on_the_seed_alone_and_have_the_points_asked_for():
     repeated = camera_cloud(small, CameraSettings(points=700), np.random.default_rng(0))
     assert repeated.shape == (700, 3) and 5 < len(np.unique(repeated, axis=0)) < 100
     assert camera_cloud(Scene("empty", ()), settings, np.random.default_rng(0)).shape == (0, 3)
-
-
-def training_cloud(scene, settings, seed):
-    kinds, sizes, poses = [], [], []
-    for item in scene.obstacles:
-        kind, size = SHAPES[type(item.shape)](item.shape)
-        kinds.append(kind), sizes.append(size), poses.append(item.T_world_object[:3])
-    arrays = np.array(kinds, np.uint8), np.array(sizes, np.float32), np.array(poses, np.float32)
-    return sample_cloud(Shapes(*arrays), settings, np.random.default_rng(seed))
-
-
-def gap(a, b):
-    """Mean distance from points a to the nearest of b [m]."""
-    return cKDTree(b).query(a)[0].mean()
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_clouds_are_like_those_of_training(family):
-    scene, plain = family_scene(family, 1), CloudSettings().without_augmentation()
-    trained, again = (training_cloud(scene, plain, seed) for seed in (0, 1))
-    ours = camera_cloud(scene, CameraSettings.like_training(), np.random.default_rng(0))
-    published = camera_cloud(scene, CameraSettings(points=1024), np.random.default_rng(0))
-    usual = gap(trained, again)
-    assert gap(ours, trained) < 1.25 * usual  # no surface that training would not show
-    inside = 1.7 if family == "kitchen-like" else 1.2  # cabinets are closed
-    assert gap(trained, ours) < inside * usual
-    assert gap(trained, ours) < gap(trained, published)
-    crop = CropSettings()
-    assert BallCrop() == BallCrop(crop.centre, crop.radius) and len(ours) == CloudSettings().points
 
 
 CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),))

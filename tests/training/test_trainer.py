@@ -148,14 +148,6 @@ def test_mpnet_leaves_a_network(tmp_path, data):
     assert network.encode(np.zeros((48, 3))).shape == (28,)
 
 
-def test_losses_fall(tmp_path, data):
-    optimizer = {"rate": 5e-3, "warmup": 5, "schedule": "constant"}
-    profile = changed(TINY, {"stage1.batches_per_epoch": None, "stage1.optimizer": optimizer})
-    go("stage1", data, tmp_path / "s1", profile, epochs=4)
-    nll = [float(row["validation_nll"]) for row in curves(tmp_path / "s1")]
-    assert nll[-1] < nll[0] - 1.0
-
-
 # ---------------------------------------------------------------- continue and repeat
 
 
@@ -176,16 +168,6 @@ def test_a_stopped_training_continues_on_the_same_curve(tmp_path, data, publishe
     go(stage, data, tmp_path / "parts", **options)
     assert curves(tmp_path / "parts") == curves(tmp_path / "whole")
     assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
-
-
-def test_more_epochs_continue_where_fewer_ended(tmp_path, data):
-    profile = changed(TINY, {"stage1.optimizer.schedule": "inverse-sqrt"})
-    go("stage1", data, tmp_path / "whole", profile, epochs=2)
-    go("stage1", data, tmp_path / "parts", profile, epochs=1)
-    assert len(curves(tmp_path / "parts")) == 1
-    go("stage1", data, tmp_path / "parts", profile, epochs=2)
-    assert curves(tmp_path / "parts") == curves(tmp_path / "whole")
-    assert go("stage1", data, tmp_path / "parts", profile, epochs=2).finished  # nothing left to do
 
 
 def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):

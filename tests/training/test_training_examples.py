@@ -21,7 +21,6 @@ from cvqmpt_lab.training.batches import (
     SceneBatches,
     SceneBatchSettings,
     grouped_by_scene,
-    other_scenes,
     turned,
 )
 from cvqmpt_lab.training.dataset import Shapes, open_dataset
@@ -96,15 +95,6 @@ def distances(points, shapes):
     )
     sphere = np.linalg.norm(local, axis=2) - size[:, 0]
     return np.select([kind == 0, kind == 1, kind == 2], [box, cylinder, sphere])
-
-
-def test_points_lie_on_surfaces_and_outside_of_others(dataset):
-    for scene in range(len(dataset.scenes)):
-        shapes = dataset.scenes.shapes(scene)
-        cloud = sample_cloud(shapes, PLAIN, np.random.default_rng(scene))
-        assert cloud.shape == (600, 3) and cloud.dtype == np.float32
-        nearest = distances(cloud.astype(np.float64), shapes).min(1)
-        assert np.abs(nearest).max() < 2e-4
 
 
 def one(kind, size, at=(0.3, -0.2, 0.4)):
@@ -241,11 +231,6 @@ def test_batches_repeat_by_seed_differ_by_epoch_and_validate_on_held_out_paths(d
     np.testing.assert_array_equal(batches[0]["cloud"], batches[0]["cloud"])
     held_out = {tuple(dataset.paths.joints(p)[[0, -1]].ravel()) for p in dataset.split("validation").tolist()}
     assert ends <= held_out
-
-
-def test_a_wrong_cloud_is_of_another_scene():
-    assert other_scenes(np.array([3, 3, 5, 3])).tolist() == [2, 2, 3, 2]
-    assert other_scenes(np.array([3, 3])) is None
 
 
 # ---------------------------------------------------------------- sequences

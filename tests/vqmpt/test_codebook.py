@@ -4,39 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from small_models import METADATA, compact_config, random_checkpoint
-from training_data import LOWER, UPPER, kinematics
+from training_data import LOWER, UPPER
 
-from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.training.stage1 import LinkPositions
 from cvqmpt_lab.vqmpt.checkpoint import stored
-from cvqmpt_lab.vqmpt.codebook import Codebook, ModelConfigurations, dictionary_gaussians, waypoint_codes
-from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 
 @pytest.fixture(scope="module")
 def checkpoint(panda):
     return random_checkpoint(panda, compact_config())
-
-
-@torch.inference_mode()
-def test_configurations_codes_and_gaussians_are_those_of_torch(checkpoint, panda):
-    model, words, span = stored(checkpoint), checkpoint.dictionary, panda.upper - panda.lower
-    q = panda.random_configurations(np.random.default_rng(2), 200)
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), from_plain(SerialChain, kinematics()))
-    configurations = ModelConfigurations(model, panda).of(q)
-    u = torch.from_numpy((q - panda.lower) / span).float()
-    np.testing.assert_allclose(configurations, links.configurations(u), atol=1e-6)
-    codes = waypoint_codes(model, configurations)
-    np.testing.assert_array_equal(codes, words.encode(torch.from_numpy(configurations[None]))[0])
-    assert len(np.unique(codes)) > 3
-    expected, book = words.decode(words.quantizer.embedding.weight), Codebook(model, panda)
-    for means, covariances in (dictionary_gaussians(model, panda), book.gaussians(book.vectors)):
-        np.testing.assert_allclose((means - panda.lower) / span, expected.mean, atol=1e-5)
-        np.testing.assert_allclose(covariances / np.outer(span, span), expected.covariance, atol=1e-5)
 
 
 BIAS, VECTORS = "decoder.mu.0.bias", "quantizer.embedding.weight"

@@ -68,15 +68,6 @@ def test_a_motion_is_as_near_as_its_nearest_state(cloud, network):
     assert along[0, -1] == pytest.approx(length)
 
 
-def test_odds_are_those_of_the_network_in_numpy(cloud, network):
-    robot, model = panda(), EdgeModel(SmallNetwork.of(network), panda())
-    states = robot.random_configurations(np.random.default_rng(4), 40).reshape(20, 2, 7)
-    features, odds = model.log_odds(cloud, states)
-    hidden = np.maximum(features @ network["first"].T + network["first_bias"], 0.0)
-    hidden = np.maximum(hidden @ network["second"].T + network["second_bias"], 0.0)
-    np.testing.assert_allclose(odds, hidden @ network["last"] + network["last_bias"], atol=1e-9)
-
-
 def test_training_finds_what_separates_free_from_blocked():
     rng = np.random.default_rng(5)
     features = rng.uniform(-0.6, 1.0, (6000, 8))

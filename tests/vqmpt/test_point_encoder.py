@@ -6,9 +6,8 @@ import torch
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import point_encoder
-from cvqmpt_lab.vqmpt.config import PointCloudConfig, SetAbstractionConfig
+from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
 from cvqmpt_lab.vqmpt.point_encoder import (
-    PointCloudEncoder,
     SetAbstraction,
     TokenLevel,
     ball_query,
@@ -81,16 +80,3 @@ def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):
             expected = torch.stack(messages).max(0).values
             torch.testing.assert_close(level.features[b, m], expected, rtol=1e-4, atol=1e-5)
             torch.testing.assert_close(level.centres[b, m], centre)
-
-
-def test_encoder_thins_twice_and_trains(points):
-    encoder = PointCloudEncoder(
-        PointCloudConfig(
-            sa1=SetAbstractionConfig(ratio=0.5, radius=0.3, widths=(8, 12)),
-            sa2=SetAbstractionConfig(ratio=0.1, radius=0.5, widths=(8, 6)),
-        )
-    )
-    tokens = encoder(points)
-    assert tokens.features.shape == (2, 3, 6)
-    tokens.features.sum().backward()
-    assert not [name for name, p in encoder.named_parameters() if p.grad is None]

@@ -48,15 +48,6 @@ def test_all_edges_at_once_look_as_each_on_its_own(cloud, problem, carried):
     np.testing.assert_allclose(seen.edge_costs(cloud)[rows], np.logaddexp(0.0, -odds), atol=1e-12)
 
 
-def test_arcs_lead_along_every_edge_both_ways(seen):
-    links = seen.links
-    tail = np.repeat(np.arange(len(seen.roadmap.nodes)), np.diff(links.first))
-    assert len(tail) == 2 * len(links.edges)
-    np.testing.assert_array_equal(
-        links.edges[links.edge], np.sort(np.stack([tail, links.neighbour], 1), axis=1)
-    )
-
-
 def test_sequences_are_the_cheapest_through_some_code_that_none_before_has(seen, query, cloud):
     """Judged by scipy: the start is node N, any goal node N + 1."""
     found = CodeSequences(seen, cloud, query, SETTINGS, project_first=False).cheapest()

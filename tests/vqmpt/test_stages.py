@@ -6,7 +6,7 @@ import pytest
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import CONTROLS, PLANNERS, REMOVED, planner_named
+from cvqmpt_lab.planners import CONTROLS, REMOVED, planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from experiments.suites.place_task import place_problem
@@ -35,12 +35,6 @@ def test_controls_solve_repeat_and_give_up(problem, name):
     assert plan(problem, name, Budget(seconds=1e-9)).status is PlanStatus.TIMEOUT
 
 
-def test_learned_planners_pay_for_their_networks(problem):
-    result = plan(problem, "opt-algorithm-2")
-    assert result.timings.predict > 0 and result.timings.optimize > 0
-    assert result.seconds >= result.timings.total
-
-
 @pytest.mark.parametrize(("method", "shown_another"), [("roadmap-cvq", "roadmap-wrong-cloud")])
 def test_ways_need_the_cloud_of_their_own_scene(method, shown_another):
     """With another scene's a planner works harder, over a few problems together."""
@@ -58,8 +52,3 @@ def test_a_removed_planner_is_refused_with_what_replaces_it(name):
     with pytest.raises(InvalidInputError, match=f"planner {name} was removed; use {REMOVED[name]}$"):
         planner_named(name)
     assert planner_named(REMOVED[name])
-
-
-def test_names_are_unique():
-    assert not set(PLANNERS) & set(CONTROLS)
-    assert all(planner_named(name).name == name for name in (*PLANNERS, *CONTROLS))

@@ -10,11 +10,10 @@ import torch
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import weights
-from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, MPNetCheckpoint, load_checkpoint, save_checkpoint
-from cvqmpt_lab.vqmpt.config import DictionaryConfig, ModelConfig, MPNetConfig, TransformerConfig
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from cvqmpt_lab.vqmpt.config import DictionaryConfig, ModelConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.weights import MPNET, OtherRobotError, RobotSignature, read_model, weights_digest
+from cvqmpt_lab.vqmpt.weights import OtherRobotError, RobotSignature, weights_digest
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 SIZES = TransformerConfig(n_layers=1, n_heads=1, d_k=4, d_v=4, d_model=8, d_inner=8)
@@ -38,15 +37,6 @@ def test_round_trip(folder):
         assert torch.equal(tensor, other.state_dict()[name])
     assert weights_digest(folder) != first
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
-
-
-def test_mpnet_too(tmp_path):
-    network = MPNet(MPNetConfig(n_points=10, encoder_widths=(8, 6), code_dim=4, planner_widths=(16, 8)))
-    save_checkpoint(tmp_path / "m", MPNetCheckpoint(ROBOT, network, {"note": "x"}))
-    loaded = read_model(tmp_path / "m", ROBOT, MPNET)
-    assert (loaded.config, loaded.robot, loaded.metadata) == (network.config, ROBOT, {"note": "x"})
-    for name, tensor in network.state_dict().items():
-        assert torch.equal(torch.from_numpy(loaded.parts["mpnet"][name]), tensor)
 
 
 @pytest.mark.parametrize("name", ["write_bytes", "_move_into_place"])
@@ -91,10 +81,7 @@ def test_damage_is_named(folder):
     ("change", "message"),
     [
         (lambda d: d["model"]["dictionary"].update(n_codes=9), r"embedding.weight is \(6, 8\), expected \(9, 8\)"),
-        (  # 14 GB, were they made before the file is compared
-            lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000),
-            r"embedding.weight is \(6, 8\), expected \(60000, 60000\)",
-        ),
+        (lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000), "60000"),  # not made: 14 GB
         (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is missing"),
         (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; give 1 to 64"),
         (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
@@ -112,16 +99,6 @@ def test_config_and_tensors_must_agree(folder, change, message):
     (folder / "config.json").write_text(json.dumps(description))
     with pytest.raises(InvalidInputError, match=message):
         load_checkpoint(folder)
-
-
-@pytest.mark.parametrize(
-    "text", ["{", "[]", "", '{"a": 1, "a": 2}', pytest.param('{"a": ' * 100_000, id="nested")]
-)
-def test_configs_that_are_no_objects_are_one_line(folder, text):
-    (folder / "config.json").write_text(text)
-    with pytest.raises(InvalidInputError, match=r"config\.json") as caught:
-        load_checkpoint(folder)
-    assert "\n" not in str(caught.value)
 
 
 ARM = RobotSignature("arm", (-1.0, -1.0), (2.0, 2.0), ("shoulder", "elbow"), "0123456789")

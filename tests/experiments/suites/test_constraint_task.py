@@ -6,7 +6,6 @@ import pytest
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.results.row import split_problem
 from experiments.suites.constraint_task import MOVED, NAMES, PROBLEMS, constraint_problem, trivial
-from experiments.suites.suite import suite_named
 
 ATTACHED = {"tray": ["tray"], "pouring": ["carried_can"]}
 ATTACHED["door"] = ["panel", "handle_bar", "handle_post_lower", "handle_post_upper"]
@@ -35,7 +34,3 @@ def test_a_door_stays_on_its_hinge():
         T = np.linalg.inv(hinge) @ problem.robot.pose(q) @ panel.T_hand_object
         edges.append((np.hypot(*T[:2, 3]), T[2, 3]))
     np.testing.assert_allclose(edges, [edges[0]] * len(edges), atol=5e-3)
-
-
-def test_the_suite_compares_learned_samplers_with_uniform_ones():
-    assert {"birrt", "opt-cvq-mpt", "roadmap-cvq"} <= set(suite_named("constraints").planners)

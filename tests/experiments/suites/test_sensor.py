@@ -54,12 +54,6 @@ def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
             assert (np.abs(away) > np.abs(solid.corners).max(axis=0)).any()
 
 
-def test_the_same_number_gives_the_same_map_and_another_noise_another(sensed):
-    again, other = sensor_problem(1), sensor_problem(1, Sensing(noise=2.0))
-    assert again.problem.scene == sensed.problem.scene != other.problem.scene
-    assert again.truth == other.truth and sensed.seconds > 0.0
-
-
 def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
     """A ball in the way that no camera saw: certified in the map, not free in truth."""
     run = Run("sensor", 1, "birrt", 0, ENOUGH)
@@ -79,12 +73,6 @@ def test_a_goal_that_the_map_takes_for_occupied_is_a_failure_that_says_so():
     (row,) = outcome_of(Run("sensor", 7, "birrt", 0, ENOUGH), found[1], 0.0).rows
     assert row.fail_reason in (FailReason.INVALID_START, FailReason.INVALID_GOAL)
     assert "in the map" in row.detail
-
-
-def test_fewer_pixels_and_more_cameras_change_what_is_known(sensed):
-    few, many = sensor_problem(1, Sensing(pixels=2_500)), sensor_problem(1, Sensing(cameras=4))
-    sizes = [len(item.problem.scene.objects[0].shape.cells) for item in (few, sensed, many)]
-    assert sizes[0] < 0.5 * sizes[1] < sizes[1] < sizes[2]
 
 
 def test_every_variant_differs_from_the_default_in_one_thing_and_is_named():
