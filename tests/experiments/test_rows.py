@@ -13,7 +13,7 @@ from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.query import Proposal
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
-from cvqmpt_lab.vqmpt import edge_model as sight
+from cvqmpt_lab.vqmpt import edge_model
 from experiments.rows import Run, failed_rows, outcome_of, result_row
 from experiments.suites.multi_sequence import multi_sequence_task
 from experiments.suites.place_task import UnsolvableProblem
@@ -103,21 +103,13 @@ def test_committed_rows_load_and_add_up(part):
             assert (row.t_total_s or 0.0) == pytest.approx(sum(getattr(row, part) or 0.0 for part in PARTS))
 
 
-@pytest.fixture
-def clouds_seen(monkeypatch):
-    """Arguments of every distance field that is built from a cloud."""
-    counted, fill = [], sight.fill_distances
-    monkeypatch.setattr(sight, "fill_distances", lambda *given: counted.append(given) or fill(*given))
-    return counted
-
-
 @pytest.mark.parametrize(("suite", "built"), [("family-shelves", [1, 1]), ("place-task", [0, 0])])
-def test_every_planner_builds_the_field_of_a_new_scene_and_that_of_a_known_one_is_shared(
-    clouds_seen, suite, built
-):
+def test_planners_share_the_field_of_a_known_scene_and_build_that_of_a_new_one(monkeypatch, suite, built):
+    clouds, fill = [], edge_model.fill_distances
+    monkeypatch.setattr(edge_model, "fill_distances", lambda *given: clouds.append(given) or fill(*given))
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
     for name in ("roadmap-cvq", "cvq-mpt", "opt-cvq-mpt"):
-        before = len(clouds_seen)
+        before = len(clouds)
         outcome_of(Run(suite, 0, name, 0, Budget(iterations=1)), item, 0.0)
-        found.append(len(clouds_seen) - before)
+        found.append(len(clouds) - before)
     assert found[1:] == built

@@ -3,10 +3,11 @@
 import os
 import signal
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 from command_line import start
+from made_rows import differences
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.results.provenance import ProvenanceFile
@@ -33,11 +34,6 @@ def run(experiment, out, jobs=1, on_progress=lambda *_: None):
         return run_experiment(experiment, out, executor, ["test"], on_progress)
 
 
-def untimed(rows):
-    """Rows without their times."""
-    return [{k: v for k, v in asdict(row).items() if not k.startswith("t_")} for row in rows]
-
-
 def keys(rows):
     return [(row.problem, row.planner, row.seed) for row in rows]
 
@@ -51,7 +47,7 @@ def test_rows_are_sorted_complete_and_those_of_two_processes(four_rows, tmp_path
     assert keys(four_rows) == [(p, n, 0) for p in ("2", "10") for n in ("birrt", "guided-birrt")]
     assert four_rows == sorted_rows(four_rows)
     assert all(row.solved and row.certified and row.path_sha256 for row in four_rows)
-    assert untimed(run(FOUR, tmp_path, jobs=2)) == untimed(four_rows)
+    assert differences(run(FOUR, tmp_path, jobs=2), four_rows) == []
 
 
 class Killed(BaseException):
@@ -71,7 +67,7 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
     rows = run(FOUR, tmp_path, on_progress=lambda done, total, note: seen.append((done, total)))
     assert seen == [(2, 4), (3, 4), (4, 4)]
     assert [row for row in rows if row in kept] == kept, "finished rows were measured anew"
-    assert untimed(rows) == untimed(four_rows)
+    assert differences(rows, four_rows) == []
     assert read_rows(tmp_path / RUNS_FILE) == rows
     before = (tmp_path / RUNS_FILE).read_bytes()
     assert run(FOUR, tmp_path) == rows and (tmp_path / RUNS_FILE).read_bytes() == before
@@ -90,9 +86,9 @@ def test_a_lost_run_is_a_failure_row_and_is_not_tried_again(tmp_path, monkeypatc
     plan = runner.outcome_of
 
     def outcome_of(run, item, seconds):
-        if run.budget == ENOUGH and item == 10:  # the warm-up has another budget
+        if run.budget == ENOUGH and run.item == 10:  # the warm-up has another budget
             os.kill(os.getpid(), signal.SIGKILL)
-        if run.budget == ENOUGH and item == 25:
+        if run.budget == ENOUGH and run.item == 25:
             raise ZeroDivisionError("by nothing")
         return plan(run, item, seconds)
 

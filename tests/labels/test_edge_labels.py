@@ -61,9 +61,7 @@ def test_weights_without_an_edge_model_go_without_cloud_or_not_at_all(tmp_path):
     write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
     assert roadmap_path(panda(), str(tmp_path / "m")).observe is None
     assert roadmap_path(panda(), "vq_mpt").observe is not None
-    with pytest.raises(
-        InvalidInputError, match="no edge validity model, only dictionary; train one: cvqmpt train edge-model"
-    ):
+    with pytest.raises(InvalidInputError, match="no edge validity model, only dictionary"):
         planner_named("cvq-mpt", str(tmp_path / "m")).stages(place_problem(1003))
 
 

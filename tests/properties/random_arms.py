@@ -26,11 +26,8 @@ def random_urdf(seed):
         parts += [link(f"link{k + 1}", rng), moving_joint(f"joint{k + 1}", parent, f"link{k + 1}", rng)]
         if rng.random() < 0.15:  # a branch, which planning holds still
             parts += [link(f"side{k}", rng), moving_joint(f"turn{k}", parent, f"side{k}", rng)]
-    parts += [
-        '<link name="tool"/>',
-        joint("mount", "fixed", f"link{joints}", "tool", origin(rng, 0.1)),
-        "</robot>",
-    ]
+    parts += ['<link name="tool"/>', joint("mount", "fixed", f"link{joints}", "tool", origin(rng, 0.1))]
+    parts += ["</robot>"]
     return "\n".join(parts).encode()
 
 

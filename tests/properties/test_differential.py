@@ -77,7 +77,7 @@ class Manifold(ob.Constraint):
         out[:] = self.manifold.residual(np.array(x))
 
     def jacobian(self, x, out):
-        out[:] = self.manifold.jacobian(np.array(x))
+        out[:] = self.manifold.residual_and_jacobian(np.array(x))[1]
 
 
 @pytest.mark.promise("we project what OMPL projects, onto the same manifold", "states", ci=300, long=100_000)

@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cells import cells_of, distinct, exposed, merged
+from cvqmpt_lab.scene.cells import cells_of, distinct, merged
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
@@ -44,12 +44,6 @@ def test_cells_of_a_map_are_those_in_reach():
     found = cells_of(OccupancyMap(cells, 0.1, 0.05), pose((0.0, 0.0, 0.5)), reach=1.0)
     assert found.padding == 0.05 and found.index.tolist() == [[0, 0, 0], [9, 0, 0]]
     assert cells_of(OccupancyMap(cells, 0.1), pose((0.0, 0.0, 9.0)), reach=0.9) is None
-
-
-def test_cells_inside_a_block_are_not_exposed():
-    block = np.argwhere(np.ones((4, 5, 6), dtype=bool)) - 3
-    middle = ((block > -3) & (block < (0, 1, 2))).all(axis=1)
-    assert np.array_equal(exposed(block), ~middle)
 
 
 def test_a_map_is_not_carried():

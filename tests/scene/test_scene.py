@@ -135,12 +135,6 @@ def test_lookup_adding_and_removing():
     assert [joint.name for joint in less.articulations] == ["drawer"]
 
 
-def test_minus_zero_is_the_same_content():
-    zero = SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0)))
-    minus = SceneObject("cup", Sphere(0.1), pose((-0.0, 0.0, 0.0)))
-    assert zero == minus and hash(zero) == hash(minus)
-
-
 @pytest.mark.parametrize(
     ("damage", "named"),
     [

@@ -32,12 +32,5 @@ def files(tmp_path):
     robot = panda()
     view = view_of(solids_of((*SCENE.objects, *arm_objects(robot, ARM_AT))), CAMERA)
     depth, intrinsics, extrinsics = write_view(view, tmp_path, "depth")
-    return SimpleNamespace(
-        depth=depth,
-        intrinsics=intrinsics,
-        extrinsics=extrinsics,
-        view=view,
-        robot=robot,
-        q=ARM_AT,
-        folder=tmp_path,
-    )
+    files = {"depth": depth, "intrinsics": intrinsics, "extrinsics": extrinsics, "folder": tmp_path}
+    return SimpleNamespace(**files, view=view, robot=robot, q=ARM_AT)

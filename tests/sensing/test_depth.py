@@ -21,20 +21,16 @@ def test_a_depth_image_gives_the_points_that_the_camera_saw(files):
     np.testing.assert_allclose(points, files.view.points, atol=6e-4)  # millimetres were written
 
 
-@pytest.mark.parametrize("scale", [0.001, 0.0002, 0.00025])
-def test_a_scale_says_what_a_unit_is(files, scale):
-    write_depth(files.depth, files.view.depth, scale)
-    capture = read_capture(files.depth, files.intrinsics, scale=scale)
-    assert capture.points[:, 2].max() == pytest.approx(
-        files.view.depth[np.isfinite(files.view.depth)].max(), abs=scale
-    )
+def test_a_scale_says_what_a_unit_is(files):
+    write_depth(files.depth, files.view.depth, 0.0002)
+    capture = read_capture(files.depth, files.intrinsics, scale=0.0002)
+    deepest = files.view.depth[np.isfinite(files.view.depth)].max()
+    assert capture.points[:, 2].max() == pytest.approx(deepest, abs=0.0002)
 
 
 def test_depth_in_metres_may_stand_in_an_array(files):
-    np.save(
-        files.folder / "depth.npy",
-        np.where(np.isfinite(files.view.depth), files.view.depth, np.nan).astype("f4"),
-    )
+    depth = np.where(np.isfinite(files.view.depth), files.view.depth, np.nan)
+    np.save(files.folder / "depth.npy", depth.astype("f4"))
     capture = read_capture(files.folder / "depth.npy", files.intrinsics, files.extrinsics)
     points = capture.points @ capture.T_world_camera[:3, :3].T + capture.T_world_camera[:3, 3]
     np.testing.assert_allclose(points, files.view.points, atol=1e-5)
@@ -70,10 +66,10 @@ def values(value):
 
 
 BAD_IMAGES = {
-    "colour": (picture("RGB"), "picture of mode RGB, no depth"),
-    "grey of 8 bits": (picture("L"), "picture of mode L, no depth"),
-    "another size": (picture("I;16", (100, 80)), "100 x 80 pixels, the intrinsics are for 200 x 160"),
-    "a billion pixels": (lying_png, "32000 x 32000 pixels, the intrinsics are for 200 x 160|exceeds limit"),
+    "colour": (picture("RGB"), "mode RGB"),
+    "grey of 8 bits": (picture("L"), "mode L"),
+    "another size": (picture("I;16", (100, 80)), "100 x 80 pixels"),
+    "a billion pixels": (lying_png, "32000 x 32000 pixels|exceeds limit"),
     "cut short": (cut, "truncated"),
     "no PNG": (lambda path: path.write_text("<!DOCTYPE html>"), "cannot identify"),
     "nothing seen": (values(0.0), "saw nothing, every pixel is 0"),
@@ -90,12 +86,13 @@ def test_what_is_no_depth_image_of_the_camera_is_refused(files, name):
 
 
 def test_missing_intrinsics_and_impossible_units_are_named(files):
-    with pytest.raises(InvalidInputError, match=r"depth image .* needs the intrinsics"):
-        read_capture(files.depth)
-    with pytest.raises(InvalidInputError, match=r"half of it is more than .* m off|more than 1000"):
-        read_capture(files.depth, files.intrinsics, scale=1.0)
-    with pytest.raises(InvalidInputError, match=r"all of it lies within .* mm: no metres\?"):
-        read_capture(files.depth, files.intrinsics, scale=1e-7)
+    for options, message in (
+        ({}, "needs the intrinsics"),
+        ({"intrinsics": files.intrinsics, "scale": 1.0}, "m off|more than 1000"),
+        ({"intrinsics": files.intrinsics, "scale": 1e-7}, "no metres"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            read_capture(files.depth, **options)
 
 
 def test_an_array_of_depths_may_not_lie_about_its_size(files):
@@ -104,10 +101,3 @@ def test_an_array_of_depths_may_not_lie_about_its_size(files):
     path.write_bytes(path.read_bytes().replace(b"(160, 200)", b"(160,2000)"))
     with pytest.raises(InvalidInputError, match="the file holds another size"):
         read_capture(path, files.intrinsics)
-
-
-def test_a_cloud_is_moved_by_its_extrinsics(files):
-    np.save(files.folder / "cloud.npy", np.array([[0.0, 0.0, 1.0], [np.nan, 0, 0], [0.1, 0.2, 1.5]]))
-    capture = read_capture(files.folder / "cloud.npy", extrinsics=files.extrinsics)
-    assert len(capture.points) == 2 and capture.unseen == 1
-    np.testing.assert_allclose(capture.T_world_camera, files.view.camera.T_world_camera)

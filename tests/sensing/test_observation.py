@@ -57,9 +57,7 @@ def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem
     blind = Method.simple("blind")
     with pytest.raises(InvalidInputError, match="blind does not look at a cloud"):
         blind.with_cloud(POINTS).stages(problem)
-    with pytest.raises(
-        InvalidInputError, match=r"none of the cloud's 5000 points.*in the frame of the robot's base"
-    ):
+    with pytest.raises(InvalidInputError, match="none of the cloud's 5000 points"):
         Observer().of_points(POINTS + 9.0)
 
 

@@ -11,9 +11,7 @@ from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sph
 from cvqmpt_lab.sensing.render import NOTHING, incidence, view_of
 from cvqmpt_lab.sensing.virtual import solids_of
 
-OCTAHEDRON = ConvexMesh(
-    0.2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
-)
+OCTAHEDRON = ConvexMesh(0.2 * np.concatenate([np.eye(3), -np.eye(3)]))
 
 
 def tilted(xyz, yaw, roll):
@@ -87,9 +85,7 @@ def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
     depth = depth_image(mixed, camera)
     assert depth.shape == (30, 40)
     rng = np.random.default_rng(0)
-    pixels = [
-        (int(r), int(c)) for r, c in zip(rng.integers(0, 30, 150), rng.integers(0, 40, 150), strict=True)
-    ]
+    pixels = [(int(row), int(column)) for row, column in rng.integers(0, (30, 40), (150, 2))]
     expected = np.array([marched(mixed, eye, camera.intrinsics, *pixel) for pixel in pixels])
     found = np.array([depth[pixel] for pixel in pixels])
     with np.errstate(invalid="ignore"):
@@ -106,9 +102,7 @@ def test_a_camera_looks_through_what_it_stands_in():
     assert np.isfinite(depth_image(scene, above)).all()
     only_ball = depth_image(Scene("b", (ball,)), below)
     np.testing.assert_array_equal(depth_image(scene, below), only_ball)
-    assert only_ball.min() == pytest.approx(
-        1.8, abs=2e-3
-    )  # the ball's pole, next to the middle of the picture
+    assert only_ball.min() == pytest.approx(1.8, abs=2e-3)  # the ball's pole
 
 
 def test_normals_are_those_of_a_finite_difference_of_the_depth(mixed):

@@ -53,9 +53,7 @@ def test_a_scan_without_a_pose_is_levelled_by_its_table(files, capture):
     assert tilt < 0.5, "the same vertical as that of the camera's true pose"
     top = made.points[np.abs(made.points[:, 2]) < 0.01]
     assert len(top) > 0.4 * len(made.points)
-    assert T[2, 3] == pytest.approx(capture.T_world_camera[2, 3], abs=0.005), (
-        "the camera is as high above the table"
-    )
+    assert T[2, 3] == pytest.approx(capture.T_world_camera[2, 3], abs=0.005)  # the camera's height
 
 
 @pytest.mark.parametrize("plane", ["box", "remove"])
@@ -73,9 +71,7 @@ def test_the_table_becomes_a_box_or_goes(files, capture, plane):
 
 
 def test_scans_and_settings_without_sense_are_refused(capture):
-    with pytest.raises(
-        InvalidInputError, match=r"nothing of the scan is left after crop: before, its \d+ points lay"
-    ):
+    with pytest.raises(InvalidInputError, match="nothing of the scan is left"):
         cleaned(capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
     with pytest.raises(InvalidInputError, match="2 captures cannot be levelled"):
         scan([capture, capture], ScanSettings(level=True), np.random.default_rng(0))
@@ -87,9 +83,7 @@ def test_scans_and_settings_without_sense_are_refused(capture):
 def test_obstacles_cover_the_surface_that_the_camera_saw(capture):
     made = cleaned(capture, neighbours=0)
     cells = made.scene()["scan"].shape
-    assert nearest(capture.in_world[::50], cells.centres).max() <= 0.02, (
-        "in a cell, or beside that of its voxel"
-    )
+    assert nearest(capture.in_world[::50], cells.centres).max() <= 0.02  # in a cell, or beside its own
     assert len(cells.cells) < len(made.points)
     balls = PointCloud(made.points, 0.87 * 0.01)
     assert made.scene(balls)["scan"].shape is balls

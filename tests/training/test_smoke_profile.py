@@ -11,17 +11,12 @@ from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
 
+ROBOTS = ["--family kitchen-like", "--robot tiago-no-hand --base 0,0,-0.6 --family shelves"]
 
-@pytest.mark.parametrize(
-    "robot_options",
-    [
-        "--family kitchen-like",
-        "--robot ur5 --family shelves",
-        "--robot tiago-no-hand --base 0,0,-0.6 --family shelves",
-    ],
-)
+
+@pytest.mark.parametrize("robot_options", ROBOTS)
 def test_from_scenes_to_a_prediction(tmp_path, robot_options):
-    """For the Panda, an arm of six joints and one whose first joint slides."""
+    """For the Panda and an arm of eight joints whose first one slides."""
     data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
     few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]  # the first of each family validates
     assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data), *robot_options.split()]) == 0

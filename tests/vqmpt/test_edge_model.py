@@ -21,14 +21,8 @@ def cloud():
 @pytest.fixture(scope="module")
 def network():
     rng = np.random.default_rng(1)
-    shapes = {
-        "first": (6, 8),
-        "first_bias": (6,),
-        "second": (5, 6),
-        "second_bias": (5,),
-        "last": (5,),
-        "last_bias": (1,),
-    }
+    shapes = {"first": (6, 8), "first_bias": (6,), "second": (5, 6)}
+    shapes |= {"second_bias": (5,), "last": (5,), "last_bias": (1,)}
     return {name: rng.normal(size=shape) for name, shape in shapes.items()}
 
 
@@ -70,7 +64,7 @@ def test_a_motion_is_as_near_as_its_nearest_state(cloud, network):
 
 def test_training_finds_what_separates_free_from_blocked():
     rng = np.random.default_rng(5)
-    features = rng.uniform(-0.6, 1.0, (6000, 8))
+    features = rng.uniform(-0.6, 1.0, (4000, 8))
     free = features[:, [1, 4]].min(axis=1) > 0.0  # two joints matter
     sight = fit_edge_model(features, free, seed=0, epochs=20, batch=128)
     network = SmallNetwork.of(sight)

@@ -22,7 +22,7 @@ from cvqmpt_lab.vqmpt.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, GaussianDecoder, Quantizer, TrajectoryEncoder
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, prefix_lengths
+from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 
 SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
 SMALL = ModelConfig(
@@ -242,13 +242,6 @@ def test_beam_search_scores_what_the_model_says(sequence_model, published):
         assert sequence.log_probability == pytest.approx(expected, abs=1e-4)
 
 
-def test_prefixes_that_are_training_samples():
-    assert prefix_lengths(3).tolist() == [0, 1, 2, 3]
-    assert prefix_lengths(78).tolist() == list(range(40))
-    assert prefix_lengths(79).tolist() == list(range(0, 80, 2))
-    assert [len(prefix_lengths(n)) for n in (39, 40, 41, 399)] == [40] * 4
-
-
 def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
     logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
     visible = torch.tensor([[True, True, True], [True, True, False]])
@@ -261,7 +254,7 @@ def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("kind", "tiny", "unknown model.kind 'tiny'; valid choices: published, compact"),
+        ("kind", "tiny", "unknown model.kind 'tiny'"),
         ("joint_dim", "7", "model.joint_dim is '7'; it must be int"),
         ("joint_dim", -7, "cannot be negative"),
         ("joint_dim", 0, "joint_dim is 0; give 1 to 65536"),

@@ -97,16 +97,6 @@ def test_goals_that_are_never_reached_are_named(panda, queries):
     assert isinstance(Predictor(never, panda, AS_PUBLISHED).mixture(prediction), Uniform)
 
 
-def test_as_published_repeated_codes_count_as_often_as_they_occur(panda, checkpoint, queries):
-    """Random weights repeat codes; the goal's Gaussian comes on top."""
-    predictor = Predictor(stored(checkpoint), panda, AS_PUBLISHED)
-    prediction = predictor.predict(*queries)
-    finished = [one for one in prediction.sequences if one.finished]
-    assert len(prediction.codes) == sum(len(one.codes) for one in finished) >= 6
-    mixture = predictor.mixture(prediction)
-    assert len(mixture.weights) == len(prediction.codes) + 6 and mixture.uniform_share == 0.0
-
-
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 CLOUD = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 3))
 

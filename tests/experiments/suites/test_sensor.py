@@ -14,17 +14,11 @@ from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor_task import (
-    LEVELS,
     ROOM,
-    SCENES,
-    VARIED_PROBLEMS,
     SensedProblem,
     Sensing,
-    robustness_problem,
     scanned_scene,
     sensor_problem,
-    setting,
-    variants,
 )
 from experiments.suites.suite import suite_named
 
@@ -73,14 +67,3 @@ def test_a_goal_that_the_map_takes_for_occupied_is_a_failure_that_says_so():
     (row,) = outcome_of(Run("sensor", 7, "birrt", 0, ENOUGH), found[1], 0.0).rows
     assert row.fail_reason in (FailReason.INVALID_START, FailReason.INVALID_GOAL)
     assert "in the map" in row.detail
-
-
-def test_every_variant_differs_from_the_default_in_one_thing_and_is_named():
-    default, *others = variants()
-    assert default == Sensing() and len(VARIED_PROBLEMS) == len(SCENES) * (1 + len(others))
-    words = setting(default).split()
-    for other in others:
-        assert sum(a != b for a, b in zip(words, setting(other).split(), strict=True)) == 1
-    assert {word.partition("=")[0] for word in words} == set(LEVELS)
-    item = robustness_problem(11)
-    assert item.problem.name == f"11/2-{setting(variants()[1])}"
