@@ -17,14 +17,13 @@ EXAMPLES = (
     "cvqmpt completion bash > ~/.local/share/bash-completion/completions/cvqmpt",
     "cvqmpt completion zsh > ~/.zfunc/_cvqmpt      # ~/.zfunc in fpath",
 )
-NAMES: Mapping[str, Iterable[str]] = {
+NAMES: Mapping[str, Iterable[str]] = {  # what arguments of this name take
     "suite": SUITES,
     "planner": (*PLANNERS, *CONTROLS),
     "planners": (*PLANNERS, *CONTROLS),
     "robot": ARMS,
     "backend": BACKENDS,
 }
-"""What an option or argument of this name takes; others are completed as files where they are paths."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

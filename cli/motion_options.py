@@ -1,12 +1,11 @@
 """Start, goals and constraint on the command line: what a problem file would say of them."""
 
 import argparse
-import sys
 from typing import Any
 
 import numpy as np
 
-from cli.options import numbers
+from cli.options import log, numbers
 from cli.robot_options import chosen_robot
 from cli.scan_options import scan_of, scan_report, scene_of
 from cvqmpt_lab.codec.plain import field_kinds, from_plain
@@ -31,9 +30,7 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
     add("--goal", metavar="Q", **many, help="configuration to reach; repeatable: any of them")
     pose = "end-effector pose to reach instead: [m], roll, pitch, yaw [rad]"
     add("--goal-pose", metavar="X,Y,Z,R,P,Y", help=pose)
-    kinds = (
-        f"{', '.join(NAMED)} (the first two as at the start), or a region as in a problem file; repeatable"
-    )
+    kinds = f"{', '.join(NAMED)} (the first two as at the start), or a region as json; repeatable"
     add("--constraint", metavar="NAME[=VALUE]|JSON", **many, help=kinds)
 
 
@@ -73,7 +70,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
 def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
     """What --cloud shows; the report of it goes to standard error."""
     made = scan_of(args, args.cloud, arm)
-    print("\n".join(scan_report(made, args.cloud)), file=sys.stderr)
+    log("\n".join(scan_report(made, args.cloud)))
     return made
 
 

@@ -10,7 +10,7 @@ from cli.motion_options import add_motion, arm_of, motion_given, motion_problem,
 from cli.options import add_model, log, writable_file
 from cli.plan_report import as_json, report
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
-from cli.robot_options import add_problem, problem_asked, robot_source
+from cli.robot_options import add_problem, problem_asked, refuse_robot
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
@@ -110,10 +110,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
         )
     if args.task_file is None:
         return problem_asked(args)
-    if robot_source(args):
-        raise InvalidInputError(
-            "--robot and --urdf go with --problem-file or --start: other problems are for their own robot"
-        )
+    refuse_robot(args)
     return Task.load(args.task_file)
 
 

@@ -1,7 +1,7 @@
 """`cvqmpt problems`: list or write the problems of a suite, or write one to start from, as json files for `plan`."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int, writable_file
@@ -58,11 +58,9 @@ def _new(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace) -> int:
     """A line for each problem."""
-
-    def line(index: int, problem: PlanningProblem | Task) -> None:
+    for index, problem in _problems(args):
         print(f"{index}: start {' '.join(f'{x:.3f}' for x in problem.start)}")
-
-    return _each(args, line)
+    return 0
 
 
 def _export(args: argparse.Namespace) -> int:
@@ -70,17 +68,17 @@ def _export(args: argparse.Namespace) -> int:
     if args.out is None:
         raise InvalidInputError("export needs --out DIR")
     make_folder(args.out)
-
-    def write(index: int, problem: PlanningProblem | Task) -> None:
-        path, comment = args.out / f"{args.what}-{index:03d}.json", {}
+    for index, problem in _problems(args):
+        comment = {}
         if args.goals and isinstance(problem, PlanningProblem) and problem.goal_region is not None:
             problem, comment = with_sampled_goals(problem)[0], {"_comment": GOALS_WIN}
-        write_text(path, to_text({**comment, **problem.to_dict()}) + "\n")
+        text = to_text({**comment, **problem.to_dict()}) + "\n"
+        write_text(args.out / f"{args.what}-{index:03d}.json", text)
+    return 0
 
-    return _each(args, write)
 
-
-def _each(args: argparse.Namespace, act: Callable[[int, PlanningProblem | Task], None]) -> int:
+def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
+    """The suite's problems with their index; unsolvable ones are printed, and how many there are."""
     suite = suite_named(args.what)
     indices = suite.problems[: args.problems]
     bar, unsolvable = ProgressBar(f"{args.action} {suite.name}"), 0
@@ -90,11 +88,10 @@ def _each(args: argparse.Namespace, act: Callable[[int, PlanningProblem | Task],
             unsolvable += 1
             print(f"{index}: unsolvable, {problem.reason}")
         else:
-            act(index, problem.problem if isinstance(problem, SensedProblem) else problem)
+            yield index, problem.problem if isinstance(problem, SensedProblem) else problem
         if args.action == "export":
             bar(done, len(indices))
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")
-    return 0
 
 
 ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {"list": _list, "export": _export, "new": _new}

@@ -117,11 +117,15 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem of a suite or file, or the task of a suite."""
     if (args.suite is None) == (args.problem_file is None):
         raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
-    robot = robot_source(args, args.problem_file)
     if args.problem_file is not None:
-        return PlanningProblem.load(args.problem_file, robot=robot)
-    if robot:
+        return PlanningProblem.load(args.problem_file, robot=robot_source(args, args.problem_file))
+    refuse_robot(args)
+    return suite_named(args.suite).solvable(args.problem)
+
+
+def refuse_robot(args: argparse.Namespace) -> None:
+    """Refuse a robot beside a problem that has its own."""
+    if robot_source(args):
         raise InvalidInputError(
             "--robot and --urdf go with --problem-file or --start: other problems are for their own robot"
         )
-    return suite_named(args.suite).solvable(args.problem)

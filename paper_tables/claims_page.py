@@ -31,7 +31,7 @@ WORDS = {
     "accuracy": "solved",
     "true_free": "free in truth",
 }
-COMPARED = (
+COMPARED = (  # label, baseline, and which of `VALUES`
     ("time", "ompl-projected", "time"),
     ("time at the paper's cost", "ompl-projected", "paper_cost"),
     ("path length", "ompl-projected", "path_length"),
@@ -40,7 +40,6 @@ COMPARED = (
     ("time at the paper's cost", "birrt", "paper_cost"),
     ("path length", "birrt", "path_length"),
 )
-"""Label, baseline, and which of `VALUES`."""
 TERMS = (
     "`ompl-projected` is the paper's CBiRRT as the paper ran it: OMPL's RRTConnect on a projected space. `birrt` is "
     "our own search (the paper's Algorithm 3) with uniform samples, the same search that `cvq-mpt` and `opt-cvq-mpt` "

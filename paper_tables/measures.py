@@ -65,7 +65,7 @@ def _planning_and_execution(row: ResultRow) -> float | None:
     return row.t_total_s + row.execution_time_s
 
 
-VALUES: Mapping[str, Value] = {
+VALUES: Mapping[str, Value] = {  # of a row, by name
     "time": attrgetter("t_total_s"),
     "own_time": own_time,
     "goals_time": attrgetter("t_goals_s"),
@@ -87,15 +87,13 @@ VALUES: Mapping[str, Value] = {
     "raw_length": attrgetter("path_length_raw_rad"),
     "true_clearance": attrgetter("true_clearance_m"),
 }
-"""Of a row, by the name that tables, statements and comparisons use."""
 
-RATIOS: Mapping[str, tuple[str, Value]] = {
+RATIOS: Mapping[str, tuple[str, Value]] = {  # by name: what is compared, and its value
     "work_ratio": ("work", work),
     "time_ratio": ("time", VALUES["time"]),
     "own_time_ratio": ("time without goals", own_time),
     "length_ratio": ("path length", VALUES["path_length"]),
 }
-"""What is compared on easy and hard problems: name of the metric, its label, its value."""
 
 
 # ---------------------------------------------------------------- statistics over rows

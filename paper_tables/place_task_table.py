@@ -72,14 +72,13 @@ CURVE = {
     for time in CURVE_TIMES
 }
 COLUMNS: Mapping[str, Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
-HEADLINES: Mapping[str, Mapping[str, str]] = {
+HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our columns
     "accuracy": {"ours": "accuracy"},
     **{
         metric: {"ours, median": f"{metric}_median", "ours, mean": f"{metric}_mean"}
         for metric in ("time", "vertices", "path_length")
     },
 }
-"""The paper's metrics, and our columns that answer them."""
 BRIEF = (
     BriefColumn("solved [%]", "accuracy", "accuracy"),
     BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
@@ -103,7 +102,7 @@ METHOD_NOTES = (
     f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are geometric means over problems "
     "that both solved, bootstrap intervals; time includes goal inverse kinematics, which is the same for all.",
 )
-SENSED: Mapping[str, Column] = {
+SENSED: Mapping[str, Column] = {  # only of scanned scenes
     "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
     "free_in_truth": Column(
         "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
@@ -112,7 +111,6 @@ SENSED: Mapping[str, Column] = {
     "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
     "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
 }
-"""What only scanned scenes have."""
 SENSED_BRIEF = (
     *(column._replace(interval=False) for column in BRIEF),
     BriefColumn("true [%]", "free_in_truth", "free_in_truth"),

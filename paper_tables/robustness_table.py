@@ -9,8 +9,7 @@ from paper_tables.measures import REFERENCE, Rows, SuiteRuns, median_of, share_o
 from paper_tables.paper_numbers import PublishedValue
 from paper_tables.table_engine import Column
 
-Setting = tuple[tuple[str, str], ...]
-"""Name and value of everything that can be varied, in order."""
+Setting = tuple[tuple[str, str], ...]  # name and value of everything that can be varied, in order
 TITLES = {
     "noise": "Errors, times an Azure Kinect's",
     "pixels": "Measured pixels, of all cameras",

@@ -27,7 +27,7 @@ class SuiteTable(NamedTuple):
 
 
 PLACE = ("place_task.csv", "Place Task")
-TABLES: Mapping[str, SuiteTable] = {
+TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problems of that name
     "place-task": SuiteTable("Place task: carry a can upright to the shelf", paper=PLACE),
     "place-task-with-can": SuiteTable("Place task, the carried can in the way", paper=PLACE),
     "place-task-single-goal": SuiteTable("Place task, a single goal instead of twenty"),
@@ -55,7 +55,6 @@ TABLES: Mapping[str, SuiteTable] = {
         ("multi_sequence.csv", "Multi-sequence task"),
     ),
 }
-"""By suite; the rows of others are rendered as problems of that name, without numbers of the paper."""
 
 
 def table_of(suite: str) -> SuiteTable:

@@ -11,10 +11,8 @@ _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
 MOST_COLUMNS = 5  # of numbers side by side on a page of LaTeX
 
-Lines = Sequence[Sequence[str]]
-"""A table as lines of cells, the header first."""
-Sections = Mapping[str, Lines | Sequence[str]]
-"""Tables and lists of notes by title; what has no title comes first and is plain text."""
+Lines = Sequence[Sequence[str]]  # a table as lines of cells, the header first
+Sections = Mapping[str, Lines | Sequence[str]]  # by title; what has no title is plain text and comes first
 
 
 def latex(text: str) -> str:

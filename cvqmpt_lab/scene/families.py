@@ -212,7 +212,7 @@ def _random_kitchen(number: int) -> Scene:
         return Scene(f"kitchen_{number}", scene.objects)
 
 
-FAMILIES: Mapping[str, Callable[[int], Scene]] = {
+FAMILIES: Mapping[str, Callable[[int], Scene]] = {  # cubes-spheres is the published training family
     "cubes-spheres": random_scene,
     "table": _table,
     "shelves": _shelves,
@@ -221,4 +221,3 @@ FAMILIES: Mapping[str, Callable[[int], Scene]] = {
     "narrow-shelves": _narrow_shelves,
     "cage": _cage,
 }
-"""Scene makers by name; "cubes-spheres" is the published training family."""

@@ -7,8 +7,7 @@ from cvqmpt_lab.codec.forms import Length
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
-WALL_CELLS = {"dagger": 2, "sektion": 3}
-"""Cells of each row of wall cabinets, counted from its right end (-y)."""
+WALL_CELLS = {"dagger": 2, "sektion": 3}  # cells of each row, counted from its right end (-y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +170,8 @@ def _fitting_rules(p: KitchenParameters) -> list[tuple[bool, str]]:
     wall_door_height = p.wall_cabinet_height - p.door_gap
     base_door_height = p.indigo_door_top_z - (p.base_cabinet_bottom_z - p.base_door_overhang)
     drawer_width = p.base_width - boards - 2.0 * p.drawer_side_gap
+    drawer_room = p.base_cabinet_depth - p.base_back_thickness + p.base_front_gap
+    drawer_top = p.hitman_drawer_lift + p.drawer_height
     left_end = p.left_y + max(p.left_countertop_width, WALL_CELLS["sektion"] * p.cabinet_width)
     wall_end = p.right_wall_y - p.wall_thickness + p.back_wall_width
     insets = (p.front_plate_side_inset, p.back_plate_side_inset)
@@ -183,23 +184,14 @@ def _fitting_rules(p: KitchenParameters) -> list[tuple[bool, str]]:
         (p.base_handle_side_inset < p.cabinet_width - p.door_gap, "base_handle_side_inset is off the door"),
         (p.post_spacing < handle, "post_spacing is not below handle_length"),
         (p.wall_handle_end_inset + handle <= wall_door_height, "wall_cabinet_height is below the handle"),
-        (
-            p.base_handle_end_inset + handle <= base_door_height,
-            "indigo's doors are too low for their handles",
-        ),
+        (p.base_handle_end_inset + handle <= base_door_height, "indigo's doors are too low for handles"),
         (min(p.dagger_bottom_z, p.sektion_bottom_z) > counter_z, "wall cabinets reach into the countertop"),
         (p.hood_bottom_z > p.range_top_z, "the hood reaches into the range"),
         (handle <= drawer_width, "drawers are narrower than their handles"),
         (drawer_width > 2.0 * p.drawer_board_thickness, "drawers have no room between their sides"),
         (p.drawer_height <= p.indigo_front_height, "indigo_front_height is below drawer_height"),
-        (
-            p.hitman_drawer_lift + p.drawer_height <= p.hitman_front_height,
-            "hitman's drawers are higher than their front panels",
-        ),
-        (
-            p.drawer_length <= p.base_cabinet_depth - p.base_back_thickness + p.base_front_gap,
-            "drawer_length reaches through the back of the base cabinet",
-        ),
+        (drawer_top <= p.hitman_front_height, "hitman's drawers are higher than their front panels"),
+        (p.drawer_length <= drawer_room, "drawer_length reaches through the back of the base cabinet"),
         (p.drawer_travel <= p.drawer_length, "drawer_travel pulls the drawers out of the cabinet"),
         (p.countertop_depth >= p.base_cabinet_depth, "countertop_depth is below base_cabinet_depth"),
         (p.left_countertop_width >= p.base_width, "left_countertop_width is below two cabinet widths"),

@@ -27,7 +27,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-STAGES = {
+STAGES = {  # of a run, by the column of their time
     "goals": "t_goals_s",
     "encode": "t_encode_s",
     "predict": "t_predict_s",
@@ -35,7 +35,6 @@ STAGES = {
     "search": "t_plan_s",
     "shorten": "t_simplify_s",
 }
-"""Of a run, by the column that holds their time."""
 WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
 
