@@ -1,4 +1,4 @@
-"""What carries out the runs of an experiment: processes on this machine, by pebble, or a Dask cluster.
+"""Executors of an experiment's runs: processes on this machine, by pebble, or a Dask cluster.
 
 A cluster is `dask scheduler` on one machine and `dask worker --nthreads 1` on many.
 """
@@ -49,10 +49,7 @@ class Executor:
     attempts: int = 1  # at a task whose process ends: something else may have ended it
 
     def results(self, function: Callable[[Task], Any], tasks: Iterable[Task]) -> Iterator[tuple[Task, Any]]:
-        """Every task with its result, or `Lost`, as they come in.
-
-        Few tasks are handed over at a time, so that an interrupt is quick.
-        """
+        """Every task with its result, or `Lost`, as they come in; few tasks are queued, for quick interrupts."""
         waiting = deque((task, 1) for task in tasks)
         running: dict[Future, tuple[Task, int]] = {}
         while waiting or running:
@@ -134,21 +131,11 @@ def _prepare_worker(parent: int) -> None:
 
 @contextmanager
 def dask_cluster(address: str, limit_s: float, installed: Callable[[], dict[str, Any]]) -> Iterator[Executor]:
-    """Workers of a Dask cluster.
+    """Workers of a Dask cluster; `installed` gives by name what decides results and must be equal on every machine.
 
-    Dask replaces a worker that a task ends, or keeps busy for longer than limit_s [s], and tries the task again as
-    often as its scheduler's ``allowed-failures`` says (3); then it is lost.
-
-    Parameters
-    ----------
-    installed
-        Tells what decides results, by name; it must tell the same on every machine.
-
-    Raises
-    ------
-    InvalidInputError
-        When Dask is not installed, nothing answers at the address, or a worker has several threads or something
-        else installed.
+    Dask replaces a worker that a task ends, or keeps busy for longer than limit_s [s], and repeats the task as often as
+    its scheduler's ``allowed-failures`` says (3); then it is lost. InvalidInputError: Dask is not installed, nothing
+    answers at the address, or a worker has several threads or something else installed.
     """
     if importlib.util.find_spec("distributed") is None:
         raise InvalidInputError("--dask needs Dask, which is not installed: pip install 'cvqmpt-lab[dask]'")

@@ -30,12 +30,9 @@ class Verdict(NamedTuple):
 
 
 def recertify(directory: Path) -> Iterator[Verdict]:
-    """Verdicts on all rows of a run that speak of a path, problem by problem.
+    """Verdicts on all rows of a run that have a path, problem by problem.
 
-    Raises
-    ------
-    RunStoreError
-        When rows or paths are missing or damaged, or the run was interrupted.
+    RunStoreError: rows or paths are missing or damaged, or the run was interrupted.
     """
     if (directory / PARTIAL_FILE).is_file():
         raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")

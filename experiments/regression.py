@@ -1,7 +1,6 @@
-"""Table regression: a tiny profile and the committed tables, compared with what is committed.
+"""Table regression: a tiny profile compared with committed values.
 
-Budgets are iterations and simplification has no clock, so a run depends on nothing but the code, the
-versions of what it calls and the processor that kernels are compiled for.
+Budgets are iterations, so a run depends only on the code, versions and the processor that kernels are compiled for.
 """
 
 import json
@@ -139,11 +138,9 @@ def measure(
 def compare(
     expected: Expectations, outcomes: Mapping[Case, Values], here: Mapping[str, str | None]
 ) -> tuple[str, list[str]]:
-    """How outcomes were compared and the differences, a line each.
+    """How outcomes were compared (`here`: what `made_with` says of this machine) and the differences, a line each.
 
     Equality on the platform and versions of the expectations, stated bounds elsewhere.
-
-    here: what `made_with` says of the present machine.
     """
     pairs = [
         (case, expected.outcomes[case], new) for case, new in outcomes.items() if case in expected.outcomes

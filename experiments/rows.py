@@ -61,7 +61,7 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
-    """Solve an item and say what came of it; goal_seconds [s], of a problem, is charged to the planner.
+    """Solve an item; goal_seconds [s], of a problem, is charged to the planner.
 
     The path of a problem in a map is also judged in the scene that the map is of.
     """

@@ -109,9 +109,7 @@ def run_experiment(
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
 ) -> list[ResultRow]:
-    """Run what is not yet in `out` and return all rows, sorted.
-
-    An interrupt keeps every finished run; the same call continues. The executor changes no row.
+    """Run what is not yet in `out` and return all rows, sorted; an interrupt keeps every finished run.
 
     on_progress: called with (runs done, runs in all, a note on the last one).
     """

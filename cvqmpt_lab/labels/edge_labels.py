@@ -81,14 +81,11 @@ def train_edge_model(
     metadata: dict[str, Any],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
-    """Write the weights of a VQ-MPT (see `resolve_model`) with an edge validity model to out/model.
+    """Write the weights of a VQ-MPT (see `resolve_model`) with an edge validity model to out/model. Returns the
+    number of motions.
 
-    data: folder of roadmap labels, of which it learns from so many scenes at most. Returns the number of motions.
-
-    Raises
-    ------
-    InvalidInputError
-        When the dataset holds no scene to train on, or its robot is not the weights'.
+    data: folder of roadmap labels, of which at most `scenes` scenes are used.
+    InvalidInputError: no scene to train on, or the robot is not the weights'.
     """
     from cvqmpt_lab.training.edge_training import fit_edge_model  # torch: only to train
 

@@ -1,8 +1,4 @@
-"""Datasets of labelled random scenes, in shards, so that an interrupted generation can be continued.
-
-`cvqmpt_lab.training.shards` describes the folder and reads it. A shard depends on the recipe and its own number
-alone, so that a dataset is the same however often it was interrupted.
-"""
+"""Datasets of labelled random scenes in shards (`training.shards`); an interrupted generation can be continued."""
 
 import json
 from abc import ABC, abstractmethod
@@ -92,11 +88,7 @@ def generate(
     """Write the shards that `out` does not have yet; returns the number of paths in all.
 
     apply: calls a function with every number and gives its results in any order; one after the other by default.
-
-    Raises
-    ------
-    InvalidInputError
-        If `out` holds a dataset of another recipe, is being written by another run, or cannot be written.
+    InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or cannot be written.
     """
     make_folder(out / SHARDS_FOLDER)
     with locked(out):

@@ -1,7 +1,4 @@
-"""Labels on a dictionary's roadmap: every node and edge checked in random scenes, and shortest paths through it.
-
-They are functions of the scene: of start and goal anywhere, the codes on the shortest path, by Dijkstra.
-"""
+"""Labels on a dictionary's roadmap: every node and edge checked in random scenes, and shortest paths by Dijkstra."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,12 +25,7 @@ from cvqmpt_lab.search.motion import edge_verdicts, motion_free
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
-from cvqmpt_lab.training.shards import (
-    ROADMAP_FILE,
-    RoadmapGraph,
-    packed_shard,
-    read_roadmap_shards,
-)
+from cvqmpt_lab.training.shards import ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
 from cvqmpt_lab.vqmpt.graph import links_of, nearest_rows
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 
@@ -152,14 +144,10 @@ def verdicts(
 def roadmap_labels(
     robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
 ) -> dict[str, np.ndarray] | None:
-    """Check all of a roadmap in a scene, and find shortest paths between `pairs` pairs; None after too many CHECKS.
+    """Check all of a roadmap in a scene and find shortest paths between `pairs` pairs; None after too many CHECKS.
 
     Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free are left out.
-
-    Returns
-    -------
-    Arrays as `training.shards` describes them, but with counts, of paths and of each path's codes, for path_scene
-    and code_start.
+    Arrays are as in `training.shards`, but path_scene and code_start hold counts of paths and of each path's codes.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible)
@@ -211,14 +199,10 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
 def _shortest_paths(
     nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shortest paths from every start over edges both ways to every goal, by Dijkstra.
+    """Shortest paths from every start over edges both ways to every goal, by Dijkstra: costs (s, g) [rad], inf if none.
 
     nodes: the roadmap's `count` nodes, STARTS starts, then goals. links: from starts and goals to nodes.
-
-    Returns
-    -------
-    Costs (s, g) [rad], inf where there is no path, and the row before each row on the way from a start (s, rows),
-    negative where there is none.
+    Also returns the predecessor of each row on the way from a start (s, rows), negative where there is none.
     """
     leaving = links[:, 0] < count + STARTS
     pairs = np.concatenate([edges, edges[:, ::-1], links[leaving], links[~leaving][:, ::-1]])

@@ -1,8 +1,7 @@
-"""Where a depth camera stands, from the arm that it sees: no marker, only the current configuration and a rough guess.
+"""Camera pose from the arm in its depth image: no marker, only the configuration and a rough guess of the pose.
 
-Poses around the guess are compared with a picture of depths, in which every sample of the arm's surface is confirmed,
-hidden by something nearer, or looked through. Point-to-plane ICP refines the best. What the picture says of the result
-decides whether it is trusted.
+Candidates around the guess are compared with the image: each sample of the arm's surface is confirmed, hidden, or
+looked through. Point-to-plane ICP refines the best; the image decides whether the result is trusted.
 """
 
 from collections.abc import Iterator
@@ -118,12 +117,7 @@ class Calibration:
 def calibrate(
     points: FloatArray, T_world_guess: FloatArray, arm: Arm, rng: np.random.Generator
 ) -> Calibration:
-    """Find the pose of the camera that saw points (m, 3) [m, camera frame, camera at the origin].
-
-    Raises
-    ------
-    InvalidInputError: no point but the origin.
-    """
+    """Pose of the camera that saw points (m, 3) [m, camera frame]; InvalidInputError for no point but the origin."""
     if not np.any(points):
         raise InvalidInputError(
             "a camera that saw nothing cannot be calibrated; give the cloud as it was taken"

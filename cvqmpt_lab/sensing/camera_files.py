@@ -22,12 +22,7 @@ FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
-    """Read our own fields, ROS's camera_info, Open3D's, or a matrix K.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError: what is wrong, and the file.
-    """
+    """Read our own fields, ROS's camera_info, Open3D's, or a matrix K; errors name the file."""
     data = _read_settings(path, "intrinsics")
     with located(f"intrinsics {path}"):
         return _intrinsics(data)
@@ -54,11 +49,7 @@ def _intrinsics(data: Any) -> Intrinsics:
 def read_extrinsics(path: Path | str) -> FloatArray:
     """Read T_world_camera (4, 4): a 4x4 matrix, {xyz, quaternion}, {xyz, rpy}, or ROS's {translation, rotation}.
 
-    It stands alone or as "T_world_camera"; a matrix that was rounded is made orthonormal.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError: what is wrong, and the file.
+    It stands alone or as "T_world_camera"; a rounded matrix is made orthonormal. Errors name the file.
     """
     data = _read_settings(path, "extrinsics")
     if isinstance(data, Mapping) and set(data) == {"T_world_camera"}:

@@ -42,14 +42,10 @@ def read_capture(
     extrinsics: Path | str | None = None,
     scale: float | None = None,
 ) -> Capture:
-    """Read a cloud, or, with intrinsics, a depth image.
+    """Read a cloud, or, with intrinsics, a depth image; errors name the file.
 
     intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the robot's base frame.
     scale: [m] of one unit; None: metres, of a 16-bit image millimetres.
-
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError: a file that cannot be used, by name.
     """
     path = Path(path)
     if intrinsics is None and path.suffix.lower() == ".png":
@@ -70,14 +66,9 @@ def read_capture(
 
 
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
-    """Depth (height, width) along the camera's axis [m], NaN where the camera saw nothing (0, or not finite).
+    """Depth (height, width) along the camera's axis [m], NaN where the camera saw nothing; errors name the file.
 
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
-
-    Raises
-    ------
-    UnknownChoiceError: another suffix than those of `DEPTH_READERS`.
-    InvalidInputError: a file that cannot be read, that is no depth image, or not the camera's; names it.
     """
     path = Path(path)
     reader = DEPTH_READERS[kind_of(path, DEPTH_READERS, "depth image")]
@@ -112,10 +103,7 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES)
 
 
 def write_view(view: View, folder: Path, name: str) -> tuple[Path, Path, Path]:
-    """Write a view as a lab's camera would: ``name.png``, ``name.intrinsics.json`` and ``name.extrinsics.json``.
-
-    Returns the three paths in the order that `read_capture` takes them.
-    """
+    """Write name.png, name.intrinsics.json and name.extrinsics.json; their paths are what `read_capture` takes."""
     image, intrinsics, extrinsics = (
         folder / f"{name}.{end}" for end in ("png", "intrinsics.json", "extrinsics.json")
     )

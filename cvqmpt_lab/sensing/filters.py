@@ -89,13 +89,9 @@ def _piece(part: LinkGeometry) -> _Piece:
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
-    """Mean (m, 3) of the points (p, 3) in each cell of a grid, in order of the cells.
+    """Mean (m, 3) of the points (p, 3) in each cell of a grid that starts half a voxel [m] below the least coordinates.
 
-    The least coordinates lie in the middle of their cells.
-
-    Raises
-    ------
-    InvalidInputError: a voxel [m] so small that its cells cannot be numbered.
+    InvalidInputError: a voxel so small that its cells cannot be numbered.
     """
     if len(points) == 0:
         return points

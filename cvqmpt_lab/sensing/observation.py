@@ -50,13 +50,7 @@ class Observer:
         return self._clouds[scene]
 
     def of_points(self, points: np.ndarray) -> np.ndarray:
-        """The cloud (m, 3) that networks are given of measured points (p, 3) [m, robot base frame].
-
-        Raises
-        ------
-        InvalidInputError
-            When none of the points is where training clouds are.
-        """
+        """The cloud (m, 3) of measured points (p, 3) [m, base frame]; InvalidInputError if none is in the crop."""
         crop = self.settings.crop
         near = points[crop.contains(points)]
         if len(near) == 0:

@@ -45,9 +45,6 @@ def occupancy_map(
 
     captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its points are known.
     arm: the robot meanwhile; it stands in known space.
-
-    Raises
-    ------
     InvalidInputError: no cell is occupied; unknown cells without captures, or too many of them.
     """
     if settings.unknown == "occupied":

@@ -39,12 +39,8 @@ class SupportingPlane(NamedTuple):
 def supporting_plane(
     points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
 ) -> SupportingPlane:
-    """Find the plane with the most of the points (m, 3) [m] whose normal is within tilt [rad] of `up` (3,).
+    """Plane that holds the most of points (m, 3) [m] with its normal within tilt [rad] of `up` (3,), by RANSAC and SVD.
 
-    Random triples propose planes (RANSAC), least squares fit the best one to its points.
-
-    Raises
-    ------
     InvalidInputError: no such plane holds `LEAST` of the points.
     """
     some = points[rng.integers(len(points), size=min(len(points), FITTED))]

@@ -91,10 +91,7 @@ class Scan:
     table: SceneObject | None = None  # the box that stands for it
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:
-        """The scan as obstacles, and the table's box.
-
-        shape: what stands for the points; the cells of `RESOLUTION` that hold some unless given.
-        """
+        """The points as obstacles, by default as an occupancy map of `RESOLUTION`, and the table's box."""
         boxes = () if self.table is None else (self.table,)
         if shape is None and len(self.points) == 0:
             return Scene(name, boxes)
@@ -107,10 +104,7 @@ def scan(
 ) -> Scan:
     """Merge captures, level them if asked to, and clean them by crop, voxels, robot and outliers.
 
-    arm: the robot while the scan was taken; its points go.
-
-    Raises
-    ------
+    arm: the robot while the scan was taken; its points are removed.
     InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be levelled.
     """
     levelled = _level(captures, settings, rng) if settings.level else None

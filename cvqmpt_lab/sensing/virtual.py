@@ -57,12 +57,7 @@ class CameraSettings:
 
 
 def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] that cameras see of a scene, in random order; empty: they see nothing.
-
-    Raises
-    ------
-    InvalidInputError: the scene has an object that is a point cloud already.
-    """
+    """Points (m, 3) [m, robot base frame] that cameras see of a scene, in random order; empty: they see nothing."""
     return thinned(visible_points(scene, settings, rng), settings, rng)
 
 
@@ -127,10 +122,7 @@ def _faces(vertices: FloatArray) -> FloatArray:
 
 
 def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
-    """The robot's links at a configuration (n,), as objects that a camera sees beside a scene's.
-
-    Each is the hull that collision checking takes it for.
-    """
+    """Collision hulls of the robot's links at a configuration (n,), as objects that a camera sees beside a scene's."""
     rotations, translations = link_poses(robot.kinematics, np.ascontiguousarray(q, dtype=float)[None])
     objects = []
     for piece in robot.links:

@@ -40,10 +40,7 @@ def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
 
 
 class BaseTurn:
-    """Turns of the robot about its base, together with the scene, that keep paths within the first joint's limits.
-
-    All turns are 0 unless `active`: asked for, and the first joint turns about the base's z axis.
-    """
+    """Turns of robot and scene about the base within the first joint's limits; all 0 unless `active`."""
 
     def __init__(self, dataset: PathDataset, wanted: bool) -> None:
         self.active = wanted and dataset.chain is not None and dataset.chain.turns_about_base
@@ -79,11 +76,7 @@ def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
 
 
 def grouped_by_scene(
-    dataset: PathDataset,
-    rows: np.ndarray,
-    size: int,
-    rng: np.random.Generator,
-    key: np.ndarray | None = None,
+    dataset: PathDataset, rows: np.ndarray, size: int, rng: np.random.Generator, key: np.ndarray | None = None
 ) -> np.ndarray:
     """Shuffle paths into groups (g, size) of one scene each, groups shuffled; -1 fills a group up.
 
@@ -107,10 +100,7 @@ def _place_in_run(values: np.ndarray) -> np.ndarray:
 
 
 class SceneBatches(Dataset):
-    """Batches as dictionaries of arrays.
-
-    scene (s,); cloud (s, points, 3) [m]; u (s p, t, n), counts (s p,), weight (s p,) bool. Paths are grouped by scene.
-    """
+    """Dictionaries: scene (s,); cloud (s, points, 3) [m]; u (s p, t, n), counts and weight (s p,), grouped by scene."""
 
     def __init__(
         self,
@@ -120,10 +110,7 @@ class SceneBatches(Dataset):
         groups: list[np.ndarray],
         seed: tuple[int, int],
     ) -> None:
-        """Batches of groups, one list element a batch; without turns, for validation, clouds are plain, too.
-
-        seed: of the training, and the epoch.
-        """
+        """Batches of groups, one list element a batch; without turns, for validation, clouds are not augmented."""
         self._dataset, self._turn, self._groups, self._seed = dataset, turn, groups, seed
         self._cloud = settings.cloud if turn is not None else settings.cloud.without_augmentation()
 

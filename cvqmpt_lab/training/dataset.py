@@ -142,10 +142,9 @@ class PathDataset:
                 )
 
     def thinned(self, spacing: float | None) -> "PathDataset":
-        """The dataset with fewer waypoints: both ends of each path, and the first waypoint after every `spacing`
-        [rad] of it, evenly; all of them for None.
+        """The dataset with fewer waypoints: both ends of each path, and the first waypoint after every `spacing` [rad].
 
-        Raises InvalidInputError for a spacing that is not positive.
+        None keeps all; InvalidInputError for a spacing that is not positive.
         """
         if spacing is None:
             return self
@@ -175,19 +174,9 @@ class PathDataset:
 
 
 def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
-    """Read a whole dataset into memory.
+    """Read a whole dataset into memory; of roadmap labels some paths of each scene. verify: compare checksums.
 
-    Parameters
-    ----------
-    folder
-        What ``cvqmpt data generate`` wrote; of roadmap labels some paths of each scene are read.
-    verify
-        Compare every shard with its sha256.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the file that is missing, damaged or of another schema.
+    InvalidInputError names the file that is missing, damaged or of another schema.
     """
     folder = Path(folder)
     path = folder / DESCRIPTION_FILE

@@ -18,20 +18,9 @@ def fit_edge_model(
     batch: int = 1024,
     rate: float = 3e-3,
 ) -> dict[str, np.ndarray]:
-    """Minimise the negative log-likelihood of the verdicts `free`, by Adam with a rate that falls as a cosine.
+    """Minimise the negative log-likelihood of verdicts `free` (b,), by Adam with a rate that falls as a cosine.
 
-    Parameters
-    ----------
-    features
-        (b, i): inputs as `vqmpt.edge_model` computes them.
-    free
-        (b,) bool.
-    rate
-        At the beginning.
-
-    Returns
-    -------
-    float32 arrays by their names in `vqmpt.edge_model.SmallNetwork`.
+    features: (b, i) of `vqmpt.edge_model`. Returns float32 arrays by their names in `vqmpt.edge_model.SmallNetwork`.
     """
     inputs, targets = (
         torch.as_tensor(features, dtype=torch.float32),

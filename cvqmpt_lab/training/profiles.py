@@ -53,10 +53,7 @@ class Profile:
     ) -> Stage:
         """A stage, ready to be trained on a dataset; dictionary: folder of stage 1, for stage 2.
 
-        Raises
-        ------
-        InvalidInputError, UnknownChoiceError
-            When there is no such stage, or dataset, dictionary and model do not fit each other.
+        InvalidInputError or UnknownChoiceError: no such stage, or dataset, dictionary and model do not fit each other.
         """
         if name not in MODELS:
             raise UnknownChoiceError("stage", name, MODELS)

@@ -87,13 +87,7 @@ def packed_shard(number: int, arrays: dict[str, np.ndarray]) -> tuple[IndexRow, 
 
 
 def write_shard(folder: Path, row: IndexRow, content: bytes, rows: Iterable[IndexRow]) -> None:
-    """Put a shard on disk, then write the index of all `rows`, its own included.
-
-    Raises
-    ------
-    InvalidInputError
-        When the disk refuses; what was there stays.
-    """
+    """Put a shard on disk, then write the index of all `rows`, its own included."""
     write_bytes(folder / SHARDS_FOLDER / row.file, content)
     lines = [f"{row.shard:06d},{row.sha256},{row.scenes},{row.paths}" for row in sorted(rows)]
     write_text(folder / INDEX_FILE, "\n".join((",".join(COLUMNS), *lines, "")))
@@ -122,13 +116,7 @@ def _parsed(line: str) -> IndexRow | None:
 
 
 def read_index(folder: Path) -> list[IndexRow]:
-    """Lines of the index.
-
-    Raises
-    ------
-    InvalidInputError
-        When it is missing, cut short or damaged, lists nothing, or a shard twice.
-    """
+    """Lines of the index; InvalidInputError when it is missing or damaged, lists nothing, or a shard twice."""
     path = folder / INDEX_FILE
     text = read_text(require_regular_file(path))
     first, *lines = text.splitlines() or [""]
@@ -160,13 +148,7 @@ def _read_arrays(path: Path, data: bytes) -> dict[str, np.ndarray]:
 def read_shard(
     folder: Path, row: IndexRow, joints: int, families: int, *, verify: bool = True
 ) -> dict[str, np.ndarray]:
-    """Arrays of one shard, checked against each other and the index.
-
-    Raises
-    ------
-    InvalidInputError
-        When the file is missing or damaged, naming the arrays that contradict each other.
-    """
+    """Arrays of one shard; InvalidInputError names those that contradict each other or the index."""
     path = folder / SHARDS_FOLDER / row.file
     data = read_bytes(require_regular_file(path))
     if verify and hashlib.sha256(data).hexdigest() != row.sha256:

@@ -63,18 +63,9 @@ class Stage1Loss(NamedTuple):
 def stage1_loss(
     output: DictionaryOutput, u: Tensor, visible: Tensor, commitment: float, entropy_weight: float = 0.1
 ) -> Stage1Loss:
-    """Loss of the module's docstring.
+    """Loss of the module's docstring, of waypoints u (b, t, n), normalised; visible (b, t) is False where padded.
 
-    Parameters
-    ----------
-    output
-        Of `Dictionary` for the same waypoints.
-    u
-        (b, t, joint_dim): normalised joints.
-    visible
-        (b, t) bool: False where padded.
-    commitment, entropy_weight
-        beta and w.
+    commitment and entropy_weight are beta and w.
     """
     nll = -torch.where(visible, output.gaussians.log_prob(u), 0.0).sum() / len(u)
     negative_entropy = -torch.where(visible, output.gaussians.entropy(), 0.0).sum() / len(u)

@@ -48,20 +48,10 @@ class CodeSequences(NamedTuple):
 
 
 def code_sequences(codes: Tensor, counts: Tensor, most: int, goal_class: int) -> CodeSequences:
-    """Both directions of paths given by the codes of their waypoints.
+    """Both directions of paths given by the codes (p, w) int64, padded, of their waypoints; counts (p,) of waypoints.
 
-    Parameters
-    ----------
-    codes
-        (p, w) int64, padded.
-    counts
-        (p,) waypoints of each path.
-    most
-        Codes of a sequence; longer ones are cut and do not predict their end.
-
-    Returns
-    -------
-    2 p sequences: path 0 forwards, path 0 backwards, path 1 forwards, ...
+    Sequences of more than `most` codes are cut and do not predict their end. Returns 2 p sequences: path 0 forwards,
+    path 0 backwards, path 1 forwards, ...
     """
     p, w = codes.shape
     real = torch.arange(w, device=codes.device) < counts[:, None]
@@ -121,10 +111,7 @@ class Stage2(SceneStage):
     ) -> None:
         """Prepare to train on a dataset with a trained dictionary, whose part of the configuration counts.
 
-        Raises
-        ------
-        InvalidInputError
-            When the dictionary belongs to another robot or is of another kind, or the dataset lacks paths.
+        InvalidInputError: the dictionary is of another robot or kind, or the dataset lacks paths.
         """
         super().__init__(dataset, settings.batches, settings.optimizer, seed, device)
         dictionary.robot.require_same(dataset.robot)

@@ -71,13 +71,7 @@ class Stage(ABC):
         seed: int,
         device: torch.device,
     ) -> None:
-        """Prepare to train on a dataset, its waypoints `spacing` [rad] apart.
-
-        Raises
-        ------
-        InvalidInputError
-            When there is nothing to train on or validate with.
-        """
+        """Prepare to train on waypoints `spacing` [rad] apart; InvalidInputError without paths of both splits."""
         dataset.require_splits()
         self.dataset = dataset.thinned(spacing)
         self.turn = BaseTurn(self.dataset, turn_base)
@@ -129,10 +123,7 @@ class SceneStage(Stage):
         return SceneBatches.of_epoch(self.dataset, self._settings, self.turn, self.seed, epoch)
 
     def held_out(self) -> Iterator[tuple[dict[str, Tensor], dict[str, Tensor]]]:
-        """Batches of held-out scenes, and clouds (s, points, 3) to judge them with, by the prefix of what is measured.
-
-        Each scene's own cloud and, where there is one, that of another scene.
-        """
+        """Batches of held-out scenes, and clouds (s, points, 3) by prefix: its own and another scene's, if any."""
         for index in range(len(self._validation)):
             arrays = self._validation[index]
             batch = {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}

@@ -86,13 +86,9 @@ def run_training(
 ) -> Progress:
     """Begin or continue a training; the best model is in ``out/model``.
 
-    Raises
-    ------
-    InvalidInputError, UnknownChoiceError
-        Before anything is written when data, dictionary or folder cannot be used, another training uses the folder, or
-        `torchrun` starts several processes for stage1; later when the loss is not finite or the disk refuses.
-    KeyboardInterrupt
-        After Ctrl-C (or SIGTERM), once saved.
+    InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or folder cannot be used,
+    another training uses the folder, or `torchrun` starts several processes for stage1; later when the loss is not
+    finite or the disk is full. KeyboardInterrupt after Ctrl-C (or SIGTERM), once saved.
     """
     rank, count = joined_processes()
     dataset = open_dataset(data, verify=verify)
@@ -126,13 +122,7 @@ def run_training(
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Begin in an empty folder, or continue what has equal settings.
-
-    Raises
-    ------
-    InvalidInputError
-        When the folder holds something else, or a training with other settings (naming the first).
-    """
+    """Begin in an empty folder, or continue what has equal settings; InvalidInputError names the first that differs."""
     path, settings = folder / "training.json", json.loads(json.dumps(settings))
     if path.is_file():
         found = differences(read_json_object(require_regular_file(path)), settings)

@@ -1,7 +1,4 @@
-"""Point clouds of scenes given by their shapes, new ones in every epoch: points drawn on surfaces, or depth images.
-
-Depth images are rendered by the cameras that evaluation uses, with their errors.
-"""
+"""Point clouds of shapes, new in every epoch: drawn on surfaces, or depth images of noisy cameras as in evaluation."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -58,12 +55,9 @@ class CloudSettings:
 
 
 def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Sample the surface of shapes, without what lies inside others or outside the crop.
+    """Points (settings.points, 3) float32 [m] on surfaces of shapes, not inside others, inside the crop.
 
-    Returns
-    -------
-    Points (settings.points, 3) float32 [m]. Few that are left are repeated; when nothing is left (an empty
-    scene), the points lie far below the robot, at the crop's lower end.
+    Few points are repeated; in an empty scene they lie far below the robot, at the crop's lower end.
     """
     by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
     points = (_measured if by_cameras else _drawn)(shapes, settings, rng)

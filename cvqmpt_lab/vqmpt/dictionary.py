@@ -98,7 +98,8 @@ class Quantizer(nn.Module):
         super().__init__()
         self.input_linear_map = nn.Linear(d_model, code_dim)
         self.output_linear_map = nn.Linear(code_dim, d_model)
-        self.embedding = nn.Embedding(n_codes, code_dim)
+        weight = torch.empty(n_codes, code_dim)  # drawn below; a normal draw on "meta" imports sympy (4 s)
+        self.embedding = nn.Embedding(n_codes, code_dim, _weight=weight)
         nn.init.xavier_uniform_(self.embedding.weight)
         self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
         self.normalise_codes()
@@ -106,7 +107,8 @@ class Quantizer(nn.Module):
     @torch.no_grad()
     def normalise_codes(self) -> None:
         """Scale every code to unit length, in place."""
-        self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
+        if not self.embedding.weight.is_meta:  # there a norm imports sympy
+            self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
 
     def project(self, latent: Tensor) -> Tensor:
         """Unit vectors (..., code_dim) that stand for latents (..., d_model)."""

@@ -35,13 +35,7 @@ from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.plane import CAMERA_TILT, CAMERA_UP, supporting_plane
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
-from cvqmpt_lab.sensing.virtual import (
-    CameraSettings,
-    arm_objects,
-    camera_cloud,
-    solids_of,
-    views_of,
-)
+from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, solids_of, views_of
 from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.stages import OTHER_SCENE, POINTS, dictionary_roadmap
@@ -78,10 +72,8 @@ JOINT_ERROR = 0.3  # [rad] of one joint in a wrong configuration
 
 
 def bench_sight(scenes: int) -> Iterator[Measurement]:
-    """How well the shipped edge validity model tells free motions from blocked ones, by family and camera.
-
-    Medians over scenes of area under the curve, of the model and of the smallest clearance alone, and of the error of
-    calibration.
+    """How well the edge validity model separates free from blocked motions, by family and camera: AUC of the model and
+    of the smallest clearance alone, and calibration error, as medians over scenes.
     """
     robot = panda()
     model = load_vq_mpt(robot)

@@ -131,9 +131,8 @@ def bench_networks(problems: int) -> Iterator[Measurement]:
 def bench_throughput(problems: int) -> Iterator[Measurement]:
     """Certified problems a second, by one process and by two at once.
 
-    Tuning problems from scene and cloud to certified path; what cameras see of the scenes is given. Robots, weights and
-    machine code are loaded before; a scene's arrays and its checker are made on the way. The processor's time says
-    what a rate would be if nobody else used the machine.
+    From a tuning problem and its rendered cloud to a certified path. Robots, weights and machine code are loaded
+    before; distance fields and checkers are made on the way. The processor's time does not depend on other processes.
     """
     environments = list(TUNING_ENVIRONMENTS)[:problems]
     for name in ("birrt", "roadmap-cvq", "opt-cvq-mpt"):

@@ -98,10 +98,7 @@ class CodeUpdate:
 def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSettings) -> CodeUpdate:
     """Observe the scene, predict, update, draw; model: as of `vqmpt.weights.resolve_model`.
 
-    Raises
-    ------
-    InvalidInputError
-        When there is no goal, or too few codes to compare two.
+    InvalidInputError: there is no goal, or too few codes to compare two.
     """
     problem, _ = with_sampled_goals(problem)
     if len(problem.goals) == 0:
@@ -161,10 +158,7 @@ class Histogram(NamedTuple):
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray, bins: int = BINS) -> "Histogram":
-        """Bin values of 0 or more: even bins from 0 for most, and one for the rest; every value is counted.
-
-        InvalidInputError for values that are negative or not finite, or less than one bin.
-        """
+        """Even bins from 0 for most values, and one for the rest; InvalidInputError for negative or infinite values."""
         both = np.concatenate((before, after))
         if bins < 1 or len(both) == 0 or not (np.isfinite(both).all() and (both >= 0.0).all()):
             raise InvalidInputError(
@@ -180,10 +174,7 @@ class Histogram(NamedTuple):
 
 
 class MarkovTail(NamedTuple):
-    """Share of draws of a value of 0 or more that reach k, and what Markov's inequality allows.
-
-    The bound takes the mean of the same draws, so it holds for them exactly; above 1 it says nothing.
-    """
+    """Share of draws of a value >= 0 that reach k, and Markov's bound mean / k with the mean of the same draws."""
 
     mean: float
     k: np.ndarray  # (t,)

@@ -42,14 +42,7 @@ def reproduce_figure(
 ) -> tuple[CodeUpdate, list[Path]]:
     """Predict, update, and write a figure of `FIGURES`, tables and provenance into a folder.
 
-    model: its name or folder (None: the shipped one).
-
-    Raises
-    ------
-    InvalidInputError
-        For an unknown problem, or a model that cannot be used.
-    RunStoreError
-        When the folder cannot be written to or holds other results.
+    model: its name or folder (None: the shipped one). RunStoreError: the folder holds other results.
     """
     posed = suite_named(SUITE).solvable(problem)
     assert isinstance(posed, PlanningProblem)
@@ -70,12 +63,7 @@ def reproduce_figure(
 def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> list[Path]:
     """Run methods on the first problems of the place task until time is up; figure, table and provenance in a folder.
 
-    Raises
-    ------
-    InvalidInputError
-        When the suite has fewer problems.
-    RunStoreError
-        When the folder cannot be written to or holds other results.
+    RunStoreError: the folder holds other results.
     """
     configuration = {"figure": NAME, "suite": SUITE, "problems": problems, "seconds": SECONDS}
     session = provenance(command, [0], weights_of(RESTARTED))

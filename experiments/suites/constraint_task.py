@@ -1,8 +1,7 @@
-"""Zero-shot over constraints: eight kinds, in scenes of every family, from a posture to a pose of the hand.
+"""Zero-shot over constraints: problem k is of kind k modulo 8, in scenes of every family, on one manifold.
 
-Problem k is of kind k modulo 8. Start and goal are drawn on the manifold; the goal is a pose of the hand in any posture
-of the arm. An arm without obstacles gets there by a short search; straight along the manifold it does not get there, as
-far as a few tries found such a problem.
+The goal is a pose of the hand. Without obstacles a short search solves the problem; the straight motion on the
+manifold does not, as far as a few tries found such a problem.
 """
 
 from collections.abc import Callable, Mapping
@@ -102,9 +101,9 @@ KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]]
 
 
 def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
-    """The kitchen without one of the shelf's doors, which hangs on its hinge and in the hand, held firmly.
+    """The kitchen without one of the shelf's doors, which the hand holds firmly and carries along an arc.
 
-    So the door is a thing that an arm of seven joints carries along an arc, and not, as in `door_task`, a joint.
+    Unlike in `door_task` the door is carried by seven joints and is not a joint itself.
     """
     scene, door = kitchen(), str(rng.choice(DOORS))
     hinge = scene.articulation(door)

@@ -61,16 +61,12 @@ def bar_pose(angle: float) -> np.ndarray:
 
 
 def door_problem(
-    seed: int,
-    angle: float = OPEN,
-    region: TaskSpaceRegionChain | None = None,
-    finger_opening: float = GRIP,
+    seed: int, angle: float = OPEN, region: TaskSpaceRegionChain | None = None, finger_opening: float = GRIP
 ) -> PlanningProblem | UnsolvableProblem:
     """Open the door to an angle [rad], from a grasp of the closed one; goals are sampled by `pipeline.solve`.
 
-    seed: of the start grasp, whose hand pose is always the same; the first is taken in whose posture
-        `GOALS_NEEDED` goals are found, though not necessarily reached along the constraint.
-    region: what the hand keeps; by default it may turn about the bar as far as nothing is in the way.
+    seed: of the start grasp, the first in whose posture `GOALS_NEEDED` goals are found.
+    region: what the hand keeps; by default it may turn freely about the bar.
     """
     scene, robot = door_world(finger_opening)
     region = region or handle_region()

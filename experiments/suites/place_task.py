@@ -90,9 +90,9 @@ def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem
 
 
 def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one environment; its goals are sampled by `pipeline.solve`, from the goal region.
+    """The problem of one environment, goals sampled by `pipeline.solve`; with_can: the can is part of the robot.
 
-    with_can: the carried can is part of the robot (the published experiment leaves it out).
+    The published experiment leaves the can out.
     """
     name = str(environment)
     robot = robot_from_source({"name": "panda"})
