@@ -19,7 +19,7 @@ SPACING = 0.11  # [rad] between states at which the constraint is evaluated firs
 TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too
 LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
 END_TOLERANCE = 1e-6  # [rad] at start and goal
-CLEARANCE_STATES = 8  # distances are measured at this many states, where the proof had least room
+CLEARANCE_STATES = 8  # with the least room in the proof, at which distances are measured
 
 
 class FaultKind(StrEnum):

@@ -25,7 +25,7 @@ def sources_digest(*places: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def kept_arrays(
+def cached_arrays(
     kind: str, made_of: bytes, make: Callable[[], Mapping[str, np.ndarray]]
 ) -> dict[str, np.ndarray]:
     """What `make` returns, read from the cache if it is there.

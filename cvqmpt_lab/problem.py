@@ -82,17 +82,19 @@ class PlanningProblem(Document):
     start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty(0)
     )
-    """(n,), drawn from `start_region` if empty [rad or m]."""
+    """(n,) [rad or m], drawn from `start_region` if empty."""
     goals: Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty((0, 0))
     )
-    """(k, n), used as they are; if there is none they are drawn from `goal_region` [rad or m]."""
-    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
-    """Regions that the end effector must stay in (their intersection; none = unconstrained)."""
+    """(k, n) [rad or m], drawn from `goal_region` if there are none."""
+    constraint: Annotated[
+        tuple[Region, ...], OneOrMore(Region)
+    ] = ()  # Regions that the end effector must stay in
     attachments: tuple[Attachment, ...] = ()  # What the hand carries
     goal_region: Region | None = None  # End-effector poses that count as a goal
-    start_region: Region | None = None
-    """End-effector poses from which the start is drawn, when the problem is made, with the constraint kept."""
+    start_region: Region | None = (
+        None  # End-effector poses from which the start is drawn, within the constraint
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -171,14 +173,11 @@ class PlanningProblem(Document):
         return replace(self, goals=goals)
 
     def random_stream(self, *keys: int) -> np.random.Generator:
-        """Random numbers of keys (a seed) and this problem's start: one seed draws others for every problem.
-
-        Without keys it is the same for every planner and seed, as goals have to be.
-        """
+        """Random numbers that depend on keys (a seed) and the start; without keys for all planners and seeds alike."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
-        """The exact checker of this problem's world; closer than margin [m] counts as touching."""
+        """The exact checker of this problem's world; distances below margin [m] are collisions."""
         return shared_checker(self.robot, self.scene, self.attachments, margin)
 
 
@@ -186,15 +185,12 @@ class PlanningProblem(Document):
 def shared_checker(
     robot: Robot, scene: Scene, attachments: tuple[Attachment, ...], margin: float
 ) -> CollisionChecker:
-    """One exact checker for all who ask about the same robot, scene and attachments: building it takes 10 ms."""
+    """The exact checker of a robot, scene and attachments, cached: building it takes 10 ms."""
     return CollisionChecker(robot, scene, attachments, margin)
 
 
 def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = None) -> None:
-    """Raise InvalidProblemError when the start or a goal collides or is off the manifold.
-
-    The message names the configuration and the colliding pair, or by how much the constraint is violated.
-    """
+    """Refuse a start or goal that collides, is off the manifold or, of goals, outside the goal region."""
     checker = checker or problem.collision_checker()
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
@@ -211,10 +207,8 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
     if problem.goal_region is None:
         return
     for k, goal in enumerate(problem.goals):
-        worst = max(
-            (use.excess for use in bound_usage(problem.robot, (problem.goal_region,), goal[None])),
-            default=0.0,
-        )
+        usage = bound_usage(problem.robot, (problem.goal_region,), goal[None])
+        worst = max((use.excess for use in usage), default=0.0)
         if worst > CONTRADICTION:
             raise InvalidProblemError(
                 f"{problem.name}: goal {k} lies outside 'goal_region' by {worst:.4f} (rad or m); take out 'goals', "

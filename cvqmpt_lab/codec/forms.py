@@ -78,7 +78,7 @@ class Array:
 
 @dataclass(frozen=True)
 class Tagged:
-    """One of several dataclasses, told apart by a name that stands beside their fields."""
+    """One of several dataclasses, chosen by a name in the json object with their fields."""
 
     key: str
     choices: Mapping[str, type]

@@ -127,7 +127,7 @@ def unique(names: Iterable[str], where: str) -> None:
 
 
 def at(where: str, field: str) -> str:
-    """Where a field of an object stands."""
+    """The place of a field for errors, as `object.field`."""
     return f"{where}{'' if where.endswith(' ') or not where else '.'}{field}"
 
 
@@ -205,7 +205,7 @@ def _scalar(kind: Any, value: Any, where: str) -> Any:
 
 
 def _content(value: Any) -> Any:
-    """What equality and hash look at."""
+    """What is compared and hashed."""
     if isinstance(value, np.ndarray):
         return value.shape if value.size else (), value.tobytes()
     if isinstance(value, Mapping):

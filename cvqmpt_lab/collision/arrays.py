@@ -15,7 +15,7 @@ from cvqmpt_lab.collision.geometry import CELL, RobotGeometry, SceneGeometry, ro
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
 from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS
-from cvqmpt_lab.disk_cache import kept_arrays
+from cvqmpt_lab.disk_cache import cached_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.robot.robot import Robot
@@ -43,7 +43,7 @@ def stored_robot_geometry(
     for spec in specs:
         made_of.append(f"{spec.kind} {spec.size} {spec.vertices.shape}".encode())
         made_of += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
-    found = kept_arrays("robot_geometry", b"".join(made_of), arrays)
+    found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
     pieces = ConvexShapes(*(found.pop(PIECES + name) for name in ConvexShapes._fields))
     return RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found)
 

@@ -178,7 +178,7 @@ def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pi
 
 
 def _place(model: pin.Model, geometry: pin.GeometryModel, base: pin.SE3) -> None:
-    """Move everything that stands on the world."""
+    """Move everything fixed to the world."""
     for j in range(1, model.njoints):
         if model.parents[j] == 0:
             model.jointPlacements[j] = base * model.jointPlacements[j]

@@ -43,7 +43,7 @@ def left_out_pairs(
     cached = cache_file(model, links)
     try:
         return read_srdf(cached)
-    except InvalidInputError:  # not there yet, or not whole
+    except InvalidInputError:  # not there yet, or damaged
         found = sampled_pairs(model, geometry, links, kinematics)
     with contextlib.suppress(InvalidInputError):  # no writable cache: sampled again the next time
         make_folder(cached.parent)

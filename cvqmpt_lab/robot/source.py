@@ -99,7 +99,7 @@ class NamedRobot(RobotOptions):
 
 
 def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source with paths relative to a folder made whole; `read_source` refuses what is no object."""
+    """A robot's source with its relative paths taken from a folder; `read_source` refuses what is no object."""
     if not isinstance(source, Mapping):
         return source
     files: dict[str, Any] = {

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.disk_cache import kept_arrays, sources_digest
+from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -69,7 +69,9 @@ class Observer:
             rest = scene.without(*(item.name for item in clouds))
             seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
             return self.of_points(np.concatenate([_world_points(clouds), seen]))
-        cloud = kept_arrays("clouds", self._made_of(scene), lambda: {"cloud": self._rendered(scene)})["cloud"]
+        cloud = cached_arrays("clouds", self._made_of(scene), lambda: {"cloud": self._rendered(scene)})[
+            "cloud"
+        ]
         if len(cloud) < FEWEST:
             cloud = np.concatenate([cloud, BELOW])
         cloud.setflags(write=False)

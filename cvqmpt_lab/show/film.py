@@ -1,4 +1,4 @@
-"""Films of a solution or of a whole task: a gif, or an mp4 where ffmpeg is installed."""
+"""Films of a solution or a task: a gif, or an mp4 where ffmpeg is installed."""
 
 import shutil
 import subprocess
@@ -41,7 +41,7 @@ from cvqmpt_lab.tasks.solve_task import TaskSolution
 
 FRAMES = 48  # of one path
 VIEWS = 6  # of its states that the viewpoint is chosen for
-TASK_FRAMES = 110  # of a whole task, however long it takes
+TASK_FRAMES = 110  # of a task, however long it takes
 TASK_VIEWS = 8  # of them that the viewpoint is chosen for
 RATE = 14  # frames a second
 REST = 10  # frames that the last one is shown for

@@ -229,7 +229,7 @@ class Viewpoint:
 
     @property
     def sun(self) -> np.ndarray:
-        """Direction (3,) towards the sun, which stands behind the viewer."""
+        """Direction (3,) towards the sun, which is behind the viewer."""
         azimuth = np.arctan2(self.eye[1] - self.target[1], self.eye[0] - self.target[0]) - SUN_LEFT
         across = np.cos(SUN_ELEVATION)
         return np.array([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(SUN_ELEVATION)])

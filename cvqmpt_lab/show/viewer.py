@@ -33,11 +33,11 @@ def open_viewer(recording: Path) -> None:
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
     )
     try:
-        _, said = viewer.communicate(timeout=SETTLE_SECONDS)
+        _, errors = viewer.communicate(timeout=SETTLE_SECONDS)
     except subprocess.TimeoutExpired:
         return
     if viewer.returncode != 0:
-        reason = " ".join(said.split())[-200:] or f"exit code {viewer.returncode}"
+        reason = " ".join(errors.split())[-200:] or f"exit code {viewer.returncode}"
         raise InvalidInputError(
             f"cannot open the rerun viewer ({reason}): save a file (RUN.rrd) and open it elsewhere"
         )

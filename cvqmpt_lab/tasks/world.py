@@ -82,7 +82,6 @@ class World:
             robot=robot,
             scene=scene,
             start=start,
-            goals=np.empty((0, robot.dof)),
             constraint=constraint,
             attachments=attachments,
             goal_region=goal,
@@ -121,12 +120,8 @@ class World:
                 f"phase {phase.name!r}: {phase.object!r} is {off:.3f} m from where the hand closes; "
                 "let the phase before end at the object"
             )
-        return World(
-            source={**self.source, **phase.gripper},
-            scene=self.scene.without(phase.object),
-            q=self.q,
-            held=Load(item, T_hand_object, phase.attachment),
-        )
+        held = Load(item, T_hand_object, phase.attachment)
+        return World({**self.source, **phase.gripper}, self.scene.without(phase.object), self.q, held)
 
 
 _taken_out = lru_cache(maxsize=8)(take_out)  # takes 0.2 s for the casing of a door

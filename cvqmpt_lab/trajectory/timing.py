@@ -99,7 +99,7 @@ def _excess(
 # The fastest motion along a curve q(s): maximise the sum of b = (ds/dt)^2 over the grid, a linear program.
 FLAT = 1e-3  # least |q'| / velocity limit, relative to the typical one: it is 0 where all joints reverse
 TOLERANCE = 1e-10  # of the linear program, whose numbers are about 1
-STANDSTILL = 1e-8  # squared speed, relative to the typical one, below which the robot stands
+STANDSTILL = 1e-8  # squared speed, relative to the typical one, below which there is no motion
 
 
 def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:

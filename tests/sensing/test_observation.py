@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab import disk_cache as kept
-from cvqmpt_lab.disk_cache import kept_arrays
+from cvqmpt_lab.disk_cache import cached_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
@@ -78,5 +78,5 @@ def test_of_kept_clouds_the_oldest_are_forgotten(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(kept, "MOST", 2)
     for key in (b"a", b"b", b"c"):
-        kept_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)})
+        cached_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)})
     assert len(list((tmp_path / "cvqmpt_lab" / "things").iterdir())) == 2
