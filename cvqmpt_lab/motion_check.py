@@ -43,7 +43,6 @@ def dry_run(
     motion: Motion,
     current: np.ndarray | None = None,
     tolerance: float = 0.01,
-    clearance: bool = True,
 ) -> DryRun:
     """Judge a path or trajectory before it is sent to an arm that stands at current (n,).
 
@@ -61,8 +60,7 @@ def dry_run(
         apart = 2.0 * reach_with(problem.robot, problem.attachments) * problem.robot.dof * FLAT
     if current is not None and usable:
         faults += _start_fault(problem, states[0], current, tolerance)
-    checker = problem.collision_checker(apart)
-    certificate = certify(problem, JointPath(states), checker, clearance)
+    certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
     return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states, times, apart)
 
 

@@ -76,11 +76,10 @@ def solve_task(
     seed: int,
     timing: TimingSettings | None = None,
     backend: str = "compiled",
-    clearance: bool = True,
 ) -> TaskSolution:
     """Plan, certify and time every phase; `budget` is that of one planning run."""
     method = planner_named(method) if isinstance(method, str) else method
-    return _Run(task, method, budget, seed, timing or TimingSettings(), backend, clearance).solve()
+    return _Run(task, method, budget, seed, timing or TimingSettings(), backend).solve()
 
 
 @dataclass(eq=False)
@@ -119,7 +118,6 @@ class _Run:
     seed: int
     timing: TimingSettings
     backend: str
-    clearance: bool
     retries: int = RETRIES
     runs: int = 0
     attempts: dict[int, tuple[Solution, ...]] = field(default_factory=dict)  # by number of phase
@@ -190,15 +188,7 @@ class _Run:
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
         # Without the cache: each phase must observe its own world, also if an equal one was observed before.
-        return solve(
-            problem,
-            method,
-            self.budget,
-            seed,
-            backend=self.backend,
-            clearance=self.clearance,
-            use_cache=False,
-        )
+        return solve(problem, method, self.budget, seed, backend=self.backend, use_cache=False)
 
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:
         """The outcome with its trajectory, whose rounded corners are certified too, or why there is none."""
