@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from numbers import Real
 from pathlib import Path
 from typing import NamedTuple
@@ -67,12 +66,6 @@ class Urdf:
     root: ElementTree.Element
     links: tuple[str, ...]
     joints: Mapping[str, Joint]
-
-    @cached_property
-    def base(self) -> str:
-        """The root link."""
-        children = {joint.child for joint in self.joints.values()}
-        return next(link for link in self.links if link not in children)
 
     @property
     def movable(self) -> list[str]:
