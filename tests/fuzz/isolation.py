@@ -88,9 +88,8 @@ def note(event, arguments):
 
 
 def inside(path):
-    return isinstance(path, str | bytes | os.PathLike) and Path(os.fsdecode(path)).resolve().is_relative_to(
-        folder
-    )
+    named = isinstance(path, str | bytes | os.PathLike)
+    return named and Path(os.fsdecode(path)).resolve().is_relative_to(folder)
 
 
 def writes(flags):

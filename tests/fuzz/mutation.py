@@ -74,9 +74,7 @@ def hostile_json(draw, content):
         if not tree:
             break
         holder, key = draw(places(tree))
-        change = draw(
-            st.sampled_from(("replace", "replace", "replace", "scale", "remove", "repeat", "exchange"))
-        )
+        change = draw(st.sampled_from((*["replace"] * 3, "scale", "remove", "repeat", "exchange")))
         if change == "remove":
             del holder[key]
         elif change == "scale" and isinstance(holder[key], float):
@@ -103,11 +101,7 @@ def places(draw, tree):
     """A container in the tree and one of its keys: the last step, or one before, of a random walk from the top."""
     walk, node = [], tree
     while isinstance(node, dict | list) and node:
-        key = (
-            draw(st.sampled_from(list(node)))
-            if isinstance(node, dict)
-            else draw(st.integers(0, len(node) - 1))
-        )
+        key = draw(st.sampled_from(list(node if isinstance(node, dict) else range(len(node)))))
         walk.append((node, key))
         node = node[key]
     return draw(st.sampled_from(walk))

@@ -42,10 +42,8 @@ def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data
     assert train_edge_model(data, tmp_path, scenes=400, metadata={}) == 14 * (256 + 512)
     model = read_model(tmp_path / "model", architecture=VQ_MPT)
     shipped = load_vq_mpt(robot)
-    np.testing.assert_array_equal(
-        model.parts["dictionary"]["quantizer.embedding.weight"],
-        shipped.parts["dictionary"]["quantizer.embedding.weight"],
-    )
+    vectors = [one.parts["dictionary"]["quantizer.embedding.weight"] for one in (model, shipped)]
+    np.testing.assert_array_equal(*vectors)
     edge_model, graph = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
     scene = family_scene("shelves", 7)
     checked = verdicts(unconstrained_space(robot, scene), graph.nodes, graph.edges, graph.edge_possible)

@@ -23,11 +23,7 @@ TESTS = Path(__file__).resolve().parents[1]
 )
 def test_memory_and_time_of_a_long_run(trials):
     code = f"from properties.test_long_run import live; live({trials})"
-    words = [
-        sys.executable,
-        "-c",
-        f"import sys; sys.path[:0] = [{str(TESTS)!r}, {str(TESTS.parent)!r}]; {code}",
-    ]
+    words = [sys.executable, "-c", f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}"]
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == "", done.stderr[-400:]
     growth, objects, slowdown = json.loads(done.stdout)

@@ -19,14 +19,9 @@ def drawn_by_hand(seed, n_cubes, n_spheres):
         r = [0.4 + 0.8 * next(uniforms) for _ in range(count)]
         elevation = [math.radians(-45.0 + 135.0 * next(uniforms)) for _ in range(count)]
         azimuth = [math.radians(360.0 * next(uniforms)) for _ in range(count)]
-        return [
-            (
-                r[i] * math.cos(elevation[i]) * math.cos(azimuth[i]),
-                r[i] * math.cos(elevation[i]) * math.sin(azimuth[i]),
-                r[i] * math.sin(elevation[i]) + lift,
-            )
-            for i in range(count)
-        ]
+        x = np.multiply(r, np.cos(elevation) * np.cos(azimuth))
+        y = np.multiply(r, np.cos(elevation) * np.sin(azimuth))
+        return np.stack([x, y, np.multiply(r, np.sin(elevation)) + lift], axis=1)
 
     cubes = centres(n_cubes, 0.5)
     yaws = [2.0 * math.pi * next(uniforms) for _ in range(n_cubes)]

@@ -20,23 +20,11 @@ def table():
     return trimesh.util.concatenate([box((1.0, 0.6, 0.03), (0.0, 0.0, 0.715)), *legs])
 
 
-def wave():
-    """An open sheet."""
-    x, y = np.meshgrid(np.linspace(0, 1, 15), np.linspace(0, 1, 15))
-    k = np.arange(225).reshape(15, 15)
-    upper = np.stack([k[:-1, :-1], k[1:, :-1], k[:-1, 1:]], axis=-1).reshape(-1, 3)
-    lower = np.stack([k[1:, :-1], k[1:, 1:], k[:-1, 1:]], axis=-1).reshape(-1, 3)
-    return trimesh.Trimesh(
-        np.stack([x, y, 0.2 * np.sin(5 * x)], axis=-1).reshape(-1, 3), [*upper, *lower], process=False
-    )
-
-
 MESHES = {
     "box": (box((0.2, 0.3, 0.4)), 1, 1.001),
     "cylinder": (trimesh.creation.cylinder(0.1, 0.3), 1, 1.001),
     "table": (table(), 20, 1.5),
     "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
-    "open sheet": (wave(), MOST_PIECES, np.inf),
     "torus": (trimesh.creation.torus(0.3, 0.05, major_sections=24, minor_sections=12), MOST_PIECES, 1.3),
 }
 

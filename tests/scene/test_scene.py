@@ -79,11 +79,8 @@ def test_arrays_inside_shapes_and_poses_are_read_only_copies():
 def test_hinges_and_sliders_move_their_parts_and_nothing_else():
     closed = small_scene()
     opened = closed.with_joint("door", 1.2)
-    np.testing.assert_allclose(
-        opened["door/panel"].T_world_object,
-        pose((1.0 - 0.2 * math.sin(1.2), 0.2 * math.cos(1.2), 0.0), 1.2),
-        atol=1e-12,
-    )
+    expected = pose((1.0 - 0.2 * math.sin(1.2), 0.2 * math.cos(1.2), 0.0), 1.2)
+    np.testing.assert_allclose(opened["door/panel"].T_world_object, expected, atol=1e-12)
     assert opened.articulation("door").value == 1.2
     assert all(opened[name] == closed[name] for name in ("wall", "drawer/tray", "floor"))
     pulled = closed.with_joint("drawer", 0.4)

@@ -15,9 +15,8 @@ from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.virtual import solids_of
 
 CAMERA = Camera(KINECT, look_at((-1.0, 0.0, 0.0)))
-AXIAL = DepthNoise(
-    lateral=0.0, offset=0.0, scale=0.0, multipath=0.0, edge_lost=0.0, edge_flying=0.0, quantum=0.0
-)
+OTHERS = ("lateral", "offset", "scale", "multipath", "edge_lost", "edge_flying", "quantum")
+AXIAL = DepthNoise(**dict.fromkeys(OTHERS, 0.0))
 
 
 def plate(distance, turn=0.0, size=9.0):

@@ -64,9 +64,8 @@ def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem
 def test_a_rendered_cloud_is_kept_on_disk_and_the_same_from_there(tmp_path, monkeypatch, problem):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     rendered = []
-    monkeypatch.setattr(
-        observation, "camera_cloud", lambda *given: rendered.append(given) or camera_cloud(*given)
-    )
+    count = lambda *given: rendered.append(given) or camera_cloud(*given)  # noqa: E731
+    monkeypatch.setattr(observation, "camera_cloud", count)
     first, again = Observer()(problem.scene), Observer()(problem.scene)
     np.testing.assert_array_equal(first, again)
     assert len(rendered) == 1 and not again.flags.writeable

@@ -96,11 +96,9 @@ def truth():
 
 def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth):
     """Planned over what one camera saw; the same path is then judged in the scene as it is."""
-    camera = CameraSettings(
-        cameras=(Camera(Intrinsics.from_fov(near=0.1), look_at((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2))),),
-        voxel=None,
-    )
-    points = visible_points(truth, camera, np.random.default_rng(0))
+    camera = Camera(Intrinsics.from_fov(near=0.1), look_at((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2)))
+    settings = CameraSettings(cameras=(camera,), voxel=None)
+    points = visible_points(truth, settings, np.random.default_rng(0))
     scanned = occupancy_map(points, MapSettings(padding=0.01))
     left, right = (np.array([s * 0.9, 0.5, 0.0, -1.9, 0.0, 2.3, 0.8]) for s in (1.0, -1.0))
     seen = Scene("map", (SceneObject("map", scanned, np.eye(4)),))
@@ -111,6 +109,5 @@ def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth)
     assert certify(replace(problem, scene=truth), path).valid
     tip = panda.pose(path.states[len(path.states) // 2])[:3, 3]
     hidden = truth.with_objects(SceneObject("lamp", Sphere(0.05), pose(tip)))
-    assert FaultKind.COLLISION in [
-        fault.kind for fault in certify(replace(problem, scene=hidden), path).faults
-    ]
+    faults = certify(replace(problem, scene=hidden), path).faults
+    assert FaultKind.COLLISION in [fault.kind for fault in faults]

@@ -66,15 +66,10 @@ def test_a_box_holds_the_points_of_the_plane():
 
 
 SCATTERED = np.random.default_rng(0).uniform(-1, 1, (5000, 3))
-NO_TABLES = {
-    "scattered": SCATTERED,
-    "one point": np.zeros((1, 3)),
-    "one place": np.zeros((50, 3)),
-    "wall": SCATTERED * (0, 1, 1),
-}
+WALL = SCATTERED * (0, 1, 1)
 
 
-@pytest.mark.parametrize("name", NO_TABLES)
-def test_a_cloud_without_a_table_is_refused(name):
-    with pytest.raises(InvalidInputError, match="no supporting plane: the best one holds"):
-        supporting_plane(NO_TABLES[name], np.array([0, 0, 1.0]), 0.2, np.random.default_rng(0))
+@pytest.mark.parametrize("points", [SCATTERED, np.zeros((1, 3)), np.zeros((50, 3)), WALL])
+def test_a_cloud_without_a_table_is_refused(points):
+    with pytest.raises(InvalidInputError, match="no supporting plane"):
+        supporting_plane(points, np.array([0, 0, 1.0]), 0.2, np.random.default_rng(0))

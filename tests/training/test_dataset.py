@@ -30,9 +30,8 @@ def test_shards_are_joined_with_rows_counted_through(folder, dataset):
     second = np.load(folder / "shards" / "000001.npz")
     for path in (0, 20):
         rows = slice(second["path_start"][path], second["path_start"][path + 1])
-        np.testing.assert_array_equal(
-            dataset.paths.joints(21 + path), second["waypoints"][rows] / np.float32(65535)
-        )
+        expected = second["waypoints"][rows] / np.float32(65535)
+        np.testing.assert_array_equal(dataset.paths.joints(21 + path), expected)
     np.testing.assert_array_equal(dataset.scenes.shapes(4).size, second["shape_size"][5:10])
     assert dataset.paths.twin_of[22] == 21 and dataset.paths.twin_of[21] == -1
 

@@ -169,10 +169,8 @@ def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
 
 def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path, data):
     optimizer = {"rate": 1e-2, "warmup": 0, "schedule": "constant", "epsilon": 1e-8, "clip": None}
-    batches = {"scenes": 1, "batches_per_epoch": 2}
-    profile = changed(
-        TINY, {"mpnet.batches": batches, "mpnet.optimizer": optimizer, "mpnet_model.dropout": 0}
-    )
+    changes = {"mpnet.batches": {"scenes": 1, "batches_per_epoch": 2}, "mpnet.optimizer": optimizer}
+    profile = changed(TINY, {**changes, "mpnet_model.dropout": 0})
     config, out = tmp_path / "tiny.json", tmp_path / "out"
     config.write_text(json.dumps(to_plain(profile, complete=True)))
     torchrun = "-m torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0 --rdzv-backend c10d"

@@ -78,9 +78,8 @@ def cloud_of(scene):
 def mpnet_of(robot, network=None, observe=cloud_of, **settings):
     """A method whose rollouts are those of a network."""
     checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
-    return Method.simple(
-        "mpnet", predict=MPNetRollouts(stored(checkpoint), MPNetSettings(**settings)), observe=observe
-    )
+    rollouts = MPNetRollouts(stored(checkpoint), MPNetSettings(**settings))
+    return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
 def plan(problem, method, budget=ENOUGH, seed=0):
@@ -89,6 +88,22 @@ def plan(problem, method, budget=ENOUGH, seed=0):
 
 
 # ---------------------------------------------------------------- the network in numpy
+
+
+def test_forward_is_a_chain_of_linear_and_prelu():
+    network = random_network()
+    current, goal, code = torch.rand(3, 7), torch.rand(3, 7), torch.rand(3, 4)
+    x = torch.cat((code, current, goal), 1)
+    for linear, prelu in network.hidden:
+        x = x @ linear.weight.T + linear.bias
+        x = torch.where(x > 0, x, prelu.weight * x)
+    expected = x @ network.out.weight.T + network.out.bias
+    torch.testing.assert_close(network(current, goal, code, stochastic=False), expected)
+    assert network.encode(torch.rand(3, 16, 3)).shape == (3, 4)
+    with pytest.raises(InvalidInputError, match=r"this network takes \(16, 3\)"):
+        network.encode(torch.rand(3, 9, 3))
+    network(current, goal, network.encode(torch.rand(3, 16, 3))).square().sum().backward()
+    assert not [name for name, p in network.named_parameters() if p.grad is None]
 
 
 def test_it_computes_what_the_torch_network_does():
@@ -152,6 +167,3 @@ def test_bad_input_is_named(tuning):
     for name, value in (("rollouts", 0), ("attempts", 0), ("share", 0.0), ("share", 1.5)):
         with pytest.raises(InvalidInputError, match=name):
             MPNetSettings(**{name: value})
-
-
-# ---------------------------------------------------------------- what it stands on

@@ -118,21 +118,6 @@ def test_quantizer_takes_the_nearest_code_by_cosine_and_keeps_codes_unit():
     torch.testing.assert_close(output.quantized, quantizer.lookup(output.codes))
 
 
-def test_straight_through_gradient_reaches_the_encoder_and_the_code():
-    quantizer = Quantizer(12, 8, 16)
-    latent = torch.randn(1, 1, 16, requires_grad=True)
-    output = quantizer(latent)
-    weight = torch.randn(16)
-    (output.quantized @ weight).sum().backward()
-    at_code = weight @ quantizer.output_linear_map.weight
-    expected = torch.zeros(12, 8)
-    expected[output.codes[0, 0]] = at_code
-    torch.testing.assert_close(quantizer.embedding.weight.grad, expected)
-    other = latent.detach().requires_grad_()
-    F.normalize(quantizer.input_linear_map(other), dim=-1).backward(at_code[None, None])
-    torch.testing.assert_close(latent.grad, other.grad)
-
-
 def test_codes_restart_on_data():
     quantizer, latents, dead = Quantizer(12, 8, 16), torch.randn(40, 16), torch.arange(12) < 5
     before = quantizer.embedding.weight.detach().clone()
@@ -246,9 +231,8 @@ def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
     logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
     visible = torch.tensor([[True, True, True], [True, True, False]])
     picked = [logits[b, p].log_softmax(0)[targets[b, p]] for b in range(2) for p in range(3) if visible[b, p]]
-    torch.testing.assert_close(
-        sequence_loss(logits[visible], targets[visible], 2), -torch.stack(picked).sum() / 2
-    )
+    loss = sequence_loss(logits[visible], targets[visible], 2)
+    torch.testing.assert_close(loss, -torch.stack(picked).sum() / 2)
 
 
 @pytest.mark.parametrize(

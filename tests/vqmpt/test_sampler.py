@@ -92,8 +92,7 @@ def test_codes_are_projected_before_prediction_where_the_planner_says_so(problem
 
 def test_where_no_sequence_reaches_a_goal_samples_are_uniform_and_the_proposal_says_so(problem, query):
     stages = planner_named("cvq-mpt").stages(problem)
-    asked = CodeSequences(
-        stages.predict.roadmap_of(query), stages.observe(problem.scene), query, SETTINGS, project_first=False
-    )
+    cloud, graph = stages.observe(problem.scene), stages.predict.roadmap_of(query)
+    asked = CodeSequences(graph, cloud, query, SETTINGS, project_first=False)
     asked.graph.factor[:] = np.inf
     assert asked.cheapest() == []

@@ -94,14 +94,6 @@ def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem, u
     assert update.centre_after.mean() < 0.5 * update.centre_before.mean()
 
 
-def test_kept_codes_are_left_alone_and_tails_never_exceed_the_bound(update):
-    kept = update.kept
-    np.testing.assert_array_equal(update.centre_after[kept], update.centre_before[kept])
-    np.testing.assert_array_equal(update.g_after[kept], update.g_before[kept])
-    for markov in map(MarkovTail.of, (*update.g_before, *update.g_after)):
-        assert (markov.tail <= markov.bound).all() and markov.tail.max() > 0.0
-
-
 def test_hands_by_another_kinematics(update, problem):
     after = hands_of_code(update, 1, count=20)[1].hands
     for i, q in enumerate(after.q):

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planners import WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.family_task import ROBOTS, family_problem
+from experiments.suites.family_task import family_problem
 from experiments.suites.suite import suite_named
 
 
@@ -27,12 +26,6 @@ def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
     np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
     upright = [problem.robot.pose(q)[2, 0] for q in solution.simplified.path.states]
     assert min(upright) > np.cos(0.2)
-
-
-def test_every_robot_has_a_suite_whose_planners_need_no_weights():
-    for robot in ROBOTS:
-        suite = suite_named(f"robots-{robot}")
-        assert len(suite.problems) == 20 and suite.planners and set(suite.planners) <= set(WITHOUT_WEIGHTS)
 
 
 @pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])

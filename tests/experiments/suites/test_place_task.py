@@ -12,13 +12,14 @@ from cvqmpt_lab.search.result import Budget
 from experiments.suites.place_task import (
     ENVIRONMENTS,
     GOALS,
+    UnsolvableProblem,
     can_com,
     carried_can,
     grasp_region,
     place_problem,
 )
 from experiments.suites.sensor_task import SCENES, variants
-from experiments.suites.suite import SUITES, suite_named
+from experiments.suites.suite import SUITES, Suite, suite_named
 
 SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
 
@@ -76,6 +77,12 @@ def test_suites_know_their_problems(suite):
     for index in (-1, last + 1, 1000):
         with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"):
             suite_named(suite).item(index)
+
+
+def test_a_problem_without_a_start_is_refused():
+    suite = Suite("hard", range(3), lambda index: UnsolvableProblem(str(index), "no start grasp"))
+    with pytest.raises(InvalidInputError, match="problem 2 of hard has no solution: no start grasp"):
+        suite.solvable(2)
 
 
 @pytest.mark.slow
