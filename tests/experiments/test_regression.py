@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_rows import a_row
 
 from cli.main import main
 from cvqmpt_lab import planners as table
 from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.search.birrt import BiRRT
 from experiments import regression
@@ -127,11 +127,8 @@ def results(tmp_path):
         for problem in range(8):
             for planner in ("birrt", "ompl-projected"):
                 time, length = rng.uniform(0.1, 2.0), rng.uniform(5.0, 9.0)
-                row = ResultRow(
-                    suite="place-task", problem=str(problem), planner=planner, seed=0, backend="compiled",
-                    solved=True, certified=True, t_total_s=time, path_length_rad=length,
-                )  # fmt: skip
-                store.append([row])
+                values = {"t_total_s": time, "path_length_rad": length}
+                store.append([a_row(str(problem), planner, suite="place-task", **values)])
     render_directory(directory)
     return directory.parent
 
@@ -186,11 +183,10 @@ def test_changed_rows_and_missing_tables_are_noticed(results):
     ],
 )
 def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words):
-    row = {"suite": "place-task", "seed": 0, "backend": "compiled", "solved": True, "certified": True}
     with RunStore.open(tmp_path, {}, CLEAN) as store:
-        store.append([ResultRow(problem="1", planner="birrt", **row)])
+        store.append([a_row("1", suite="place-task")])
     with RunStore.open(tmp_path, {}, {**CLEAN, **session}) as store:
-        store.append([ResultRow(problem="1", planner="cvq-mpt", **row)])
+        store.append([a_row("1", "cvq-mpt", suite="place-task")])
     needs = {"cvq-mpt": ("vq_mpt",) if "weights" in words else ()}
     (line,) = untraceable(tmp_path, lambda planner: needs.get(planner, ()))
     assert words in line

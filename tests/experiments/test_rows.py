@@ -84,7 +84,7 @@ def test_a_fallback_has_its_column_and_counts_as_solved(solution):
     assert result_row(RUN, solution, goal_seconds=0.0).fallback is None
 
 
-def test_a_problem_without_a_start_is_a_failure_of_every_planner():
+def test_a_problem_without_a_start_is_a_failure():
     (row,) = outcome_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0).rows
     assert (row.key, row.fail_reason, row.detail) == (RUN.key, "no_start", "no start grasp: =1")
 

@@ -22,15 +22,11 @@ DEEP = 0.03  # share by which a point lies further inside a link than a mean of 
 def solid(rng):
     """A shape of 0.3 mm to 30 km, and a point (3,) inside it, often near its surface."""
     size = 10.0 ** rng.uniform(-3.5, 3.5) * 10.0 ** rng.uniform(0.0, 1.0, 3)
-    x, y, z = inside = rng.uniform(-0.5, 0.5, 3)
+    inside = rng.uniform(-0.5, 0.5, 3)
     a, b, c = size
     mesh = np.clip(size, 0.003, 1e4)
-    made = (
-        (Box((a, b, c)), inside * size),
-        (Cylinder(a, c), np.array([x * a, y * a, z * c])),
-        (Sphere(a), inside * a),
-        (ConvexMesh(CORNERS * mesh), inside * mesh),
-    )
+    made = ((Box((a, b, c)), inside * size), (Cylinder(a, c), inside * (a, a, c)))
+    made += ((Sphere(a), inside * a), (ConvexMesh(CORNERS * mesh), inside * mesh))
     return made[rng.integers(len(made))]
 
 

@@ -58,7 +58,7 @@ def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):
     assert len(with_few_trivial(dataset.paths, only, 0.1, np.random.default_rng(0))) == len(only)
 
 
-@pytest.mark.parametrize("spacing", [0.2, 0.5, 100.0])
+@pytest.mark.parametrize("spacing", [0.5, 100.0])
 def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
     thin = dataset.thinned(spacing)
     span = np.array(UPPER) - LOWER
@@ -67,7 +67,7 @@ def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
         before, after = dataset.paths.joints(path), thin.paths.joints(path)
         np.testing.assert_array_equal(after[[0, -1]], before[[0, -1]])
         length = np.linalg.norm(np.diff(before * span, axis=0), axis=1).sum()
-        assert len(after) == max(1, int(np.ceil(length / spacing))) + 1 or spacing < 0.3
+        assert len(after) == max(1, int(np.ceil(length / spacing))) + 1
         steps = np.linalg.norm(np.diff(after * span, axis=0), axis=1)
         assert steps.max() <= spacing + 0.131
         assert {tuple(row) for row in after} <= {tuple(row) for row in before}
@@ -88,8 +88,6 @@ def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
 def test_a_description_that_does_not_fit_is_named(tmp_path, changes, message):
     with pytest.raises(InvalidInputError, match=message):
         open_dataset(write_dataset(tmp_path / "d", **changes))
-    with pytest.raises(InvalidInputError, match=r"no dataset in .*nowhere"):
-        open_dataset(tmp_path / "nowhere")
 
 
 def in_index(change):
@@ -152,6 +150,8 @@ def test_arrays_that_contradict_each_other_are_named(tmp_path, name, change, mes
 
 
 def test_without_validation_scenes_nothing_is_trained(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"no dataset in .*nowhere"):
+        open_dataset(tmp_path / "nowhere")
     dataset = open_dataset(write_dataset(tmp_path / "d", shards=((1, 2),)))
     with pytest.raises(InvalidInputError, match="no validation path"):
         dataset.require_splits()

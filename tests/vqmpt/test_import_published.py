@@ -23,10 +23,10 @@ def test_published_folders_become_a_model_that_runs(published, published_states,
     assert imported.ignored == ("epoch", "n_steps", "optimizer") and imported.epochs == (7, 7)
     for name, tensor in published_states["context_state"].items():
         assert torch.equal(model.sequence_model.context.state_dict()[name], tensor)
-    codes = model.dictionary.encode(torch.rand(1, 4, 7))
-    scene = model.sequence_model.encode_scene([torch.rand(30, 3)])
-    context = model.sequence_model.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
-    logits = model.sequence_model.prefix_logits(context, codes, model.dictionary.quantizer)
+    network, codes = model.sequence_model, model.dictionary.encode(torch.rand(1, 4, 7))
+    scene = network.encode_scene([torch.rand(30, 3)])
+    context = network.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
+    logits = network.prefix_logits(context, codes, model.dictionary.quantizer)
     assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
     save_checkpoint(tmp_path / "ours", model)
     before, after = model.sequence_model, load_checkpoint(tmp_path / "ours", ROBOT).sequence_model

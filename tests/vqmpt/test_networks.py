@@ -42,15 +42,11 @@ def seed():
 
 def test_parameter_counts_are_those_of_the_published_checkpoints():
     dictionary, sequence = Dictionary(ModelConfig()), PublishedSequenceModel(ModelConfig())
-    parts = {
-        dictionary.encoder: (43, 10_502_144),
-        dictionary.quantizer: (8, 25_096),
-        dictionary.decoder: (13, 1_069_091),
-        sequence.context: (72, 10_945_472),
-        sequence.autoregressive: (40, 11_287_042),
-    }
-    for module, counts in parts.items():
-        assert (len(module.state_dict()), sum(p.numel() for p in module.parameters())) == counts
+    modules = (dictionary.encoder, dictionary.quantizer, dictionary.decoder)
+    modules += (sequence.context, sequence.autoregressive)
+    assert [len(module.state_dict()) for module in modules] == [43, 8, 13, 72, 40]
+    counts = [sum(p.numel() for p in module.parameters()) for module in modules]
+    assert counts == [10_502_144, 25_096, 1_069_091, 10_945_472, 11_287_042]
 
 
 def layer_norm(x, norm):
