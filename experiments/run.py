@@ -20,6 +20,7 @@ from cvqmpt_lab.search.anytime import check_units
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.rows import Outcome, Run, failed_rows, outcome_of
@@ -123,7 +124,10 @@ def run_experiment(
         on_progress(finished, len(runs), "")
         one_run_a_planner = tuple({run.planner: run for run in left}.values())
         for run, result in executor.results(partial(_run_in_worker, one_run_a_planner), left):
-            outcome = _lost(run, result) if isinstance(result, Lost) else result
+            outcome = result
+            if isinstance(result, Lost):
+                item = suite_named(run.suite).item(run.item)
+                outcome = Outcome(failed_rows(run, item, result.reason, result.detail))
             store.append(outcome.rows, outcome.paths)
             failed = next((row for row in outcome.rows if not row.solved), None)
             note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
@@ -143,12 +147,6 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
     kinds = {kind for planner in planners for kind in models_of(planner)}
     if not kinds:
         return {}
-    from cvqmpt_lab.vqmpt.weights import (
-        SHIPPED,
-        resolve_model,
-        weights_digest,  # torch takes 2 s to import
-    )
-
     return {kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)}
 
 
@@ -164,11 +162,6 @@ def _installed(experiment: Experiment) -> dict[str, object]:
         for path in sorted((PACKAGES / package).rglob("*.py")):
             digest.update(f"{path.relative_to(PACKAGES)}".encode() + path.read_bytes())
     return {"sources": digest.hexdigest(), "weights": weights_of(experiment.planners, experiment.model)}
-
-
-def _lost(run: Run, lost: Lost) -> Outcome:
-    """The failure rows of a run that has no result."""
-    return Outcome(failed_rows(run, suite_named(run.suite).item(run.item), lost.reason, lost.detail))
 
 
 def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:

@@ -46,8 +46,7 @@ class DepthPicture:
 
     turn: FloatArray  # (3, 3), from the camera's frame to one whose z points to the middle of the cloud
     first: FloatArray  # (2,), corner of the picture [tangents]
-    depth: FloatArray
-    """(rows, columns) [m] along rays, median of the points in each pixel; nan where there are none."""
+    depth: FloatArray  # (rows, columns) [m] along rays, median of the points in each pixel; nan: none
 
     @classmethod
     def of(cls, points: FloatArray) -> "DepthPicture":
@@ -106,9 +105,7 @@ class Calibration:
     T_world_camera: FloatArray  # (4, 4) [m]
     residual: float  # root mean square distance of the points on the arm from its surface [m]
     confirmed: float  # share of the arm's surface in view, and not hidden, that is where it should be
-    deviation: (
-        float  # standard deviation of the camera's position [m], by leaving out one link after the other
-    )
+    deviation: float  # standard deviation of the camera's position [m], by a jackknife over links
     moved_metres: float  # from the guess [m]
     moved_degrees: float  # from the guess [deg]
     doubts: tuple[str, ...]  # why it is not trusted; empty when it is

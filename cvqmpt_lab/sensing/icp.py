@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.robot import LinkGeometry
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 
@@ -46,9 +45,12 @@ def arm_surface(arm: Arm, count: int, rng: np.random.Generator) -> Surface:
     (rotations,), (translations,) = link_poses(
         arm.robot.kinematics, np.ascontiguousarray(arm.q, dtype=float)[None]
     )
-    triangles, normals = zip(*(_triangles(part) for part in arm.robot.links), strict=True)
-    link = np.repeat([part.link for part in arm.robot.links], [len(item) for item in triangles])
-    corners, outwards = np.concatenate(triangles), np.concatenate(normals)
+    links = arm.robot.links
+    frames = [part.T_link_geometry for part in links]
+    hulls = [ConvexHull(p.vertices @ T[:3, :3].T + T[:3, 3]) for p, T in zip(links, frames, strict=True)]
+    link = np.repeat([part.link for part in links], [len(hull.simplices) for hull in hulls])
+    corners = np.concatenate([hull.points[hull.simplices] for hull in hulls])
+    outwards = np.concatenate([hull.equations[:, :3] for hull in hulls])
     sides = corners[:, 1:] - corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     face = rng.choice(len(area), count, p=area / area.sum())
@@ -61,29 +63,19 @@ def arm_surface(arm: Arm, count: int, rng: np.random.Generator) -> Surface:
     return Surface(points, np.einsum("sij,sj->si", turn, outwards[face]), link[face])[outside]
 
 
-def _triangles(part: LinkGeometry) -> tuple[FloatArray, FloatArray]:
-    """Triangles (t, 3, 3) of a piece's hull and their normals (t, 3), in the frame of its link."""
-    T = part.T_link_geometry
-    hull = ConvexHull(part.vertices @ T[:3, :3].T + T[:3, 3])
-    return hull.points[hull.simplices], hull.equations[:, :3]
-
-
 class IcpResult(NamedTuple):
     """A camera's pose at which its points lie on the surface."""
 
     T_world_camera: FloatArray  # (4, 4) [m]
     residual: float  # root mean square distance of the points on the surface from it [m]; inf without any
-    deviation: (
-        float  # standard deviation of the camera's position [m], by leaving out one link after the other
-    )
+    deviation: float  # standard deviation of the camera's position [m], by a jackknife over links
 
 
 class _Planes(NamedTuple):
     """Points that are near the surface, and the planes that it has there."""
 
     distance: FloatArray  # (k,), of each point from its plane [m]
-    rows: FloatArray
-    """(k, 7), its change when points turn about their middle [rad], shift [m], and move away from the camera [m]."""
+    rows: FloatArray  # (k, 7), its change by a turn about the middle [rad], a shift [m], and more depth [m]
     middle: FloatArray  # (3,) [m]
     link: np.ndarray  # (k,) int, of the surface under each
 

@@ -22,9 +22,7 @@ from cvqmpt_lab.sensing.render import NOTHING, Solid, View, incidence
 
 WEAKEST = 0.15 / 5.46**2  # [1/m^2] the light of the specified range's end
 EDGE = 0.02  # [m] between depths of neighbouring pixels on different solids that count as an edge
-GLARE = np.cos(
-    np.radians(5.0)
-)  # shiny surfaces that face the camera closer than this (cosine) blind it; assumed
+GLARE = np.cos(np.radians(5.0))  # least cosine at which shiny surfaces blind the camera; assumed
 
 
 class Materials(NamedTuple):

@@ -17,10 +17,8 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
 
-FEWEST = 2
-"""Points that networks need."""
-BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])
-"""(2, 3) [m] what networks see of nothing: two points under the base, where no arm reaches that stands on it."""
+FEWEST = 2  # points that networks need
+BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])  # [m] added to smaller clouds: under the base
 
 
 class Observer:

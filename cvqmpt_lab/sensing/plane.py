@@ -9,9 +9,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 
-TOLERANCE = (
-    0.01  # [m] to both sides of a plane that count as on it: table tops bend, and cameras err by millimetres
-)
+TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
 TRIPLES = 1000  # planes tried; one in a hundred lies on a table that is a fifth of the cloud
 JUDGES = 3000  # points that choose among them
 FITTED = 50_000  # points, at most, that the chosen one is fitted to

@@ -42,16 +42,15 @@ class Arm(NamedTuple):
 class ScanSettings:
     """How a scan is cleaned."""
 
-    level: bool = False
-    """Put the table level, because the camera's pose is unknown; needs a single capture."""
-    front: tuple[float, float, float] = (0.3, 0.0, 0.0)
-    """Where `level` puts the middle of the table's near edge [m]."""
+    level: bool = False  # level the table, because the single camera's pose is unknown
+    front: tuple[float, float, float] = (0.3, 0.0, 0.0)  # middle of the levelled table's near edge [m]
     crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
     robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
     neighbours: int = 2  # points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all
-    plane: Literal["keep", "box", "remove"] = "keep"
-    """What becomes of the points of the supporting plane: nothing, a box instead of them, or gone."""
+    plane: Literal["keep", "box", "remove"] = (
+        "keep"  # points of the supporting plane stay, become a box, or go
+    )
 
     def __post_init__(self) -> None:
         if not self.voxel > 0.0:
@@ -86,8 +85,7 @@ class Scan:
     steps: tuple[Step, ...]  # what each filter did, in order
     captures: tuple[Capture, ...] = ()  # what it was made of, at the poses that were used
     levelled: Levelled | None = None  # none unless asked for
-    plane: SupportingPlane | None = None
-    """The supporting plane, where one was searched for, in the robot's base frame."""
+    plane: SupportingPlane | None = None  # if searched for, in the robot's base frame
     table: SceneObject | None = None  # the box that stands for it
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:

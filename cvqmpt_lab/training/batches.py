@@ -11,9 +11,7 @@ from cvqmpt_lab.training.shards import FULL_SCALE
 from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.vqmpt.config import require_sizes
 
-SIDE_NOISE = (
-    0.4  # of twice the middle of a path's first joint, normalised, by which paths of a scene are grouped
-)
+SIDE_NOISE = 0.4  # added to least + most of a path's first joint u, by which paths of a scene are grouped
 
 
 @dataclass(frozen=True, kw_only=True)

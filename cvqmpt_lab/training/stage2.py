@@ -41,9 +41,7 @@ class CodeSequences(NamedTuple):
     """Sequences (b, ...) without consecutive repeats, at most t codes of each."""
 
     codes: Tensor  # (b, t) int64, padded with code 0
-    targets: (
-        Tensor  # (b, t + 1) int64: the next code after the start token and each code, at last the goal class
-    )
+    targets: Tensor  # (b, t + 1) int64: the next code after each prefix, at last the goal class
     visible: Tensor  # (b, t + 1) bool: False where there is nothing to predict
 
 

@@ -57,9 +57,7 @@ class Stage(ABC):
     """One of the trainings."""
 
     selection: ClassVar[str]  # the column of the curves whose least value is the best model
-    many_processes: ClassVar[bool] = (
-        False  # steps depend on gradients alone, so that processes may share them
-    )
+    many_processes: ClassVar[bool] = False  # whether steps depend on gradients alone
     module: nn.Module  # what the optimizer changes and the state keeps
 
     def __init__(

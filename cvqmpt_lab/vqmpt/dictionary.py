@@ -192,7 +192,7 @@ class GaussianDecoder(nn.Module):
         self.mu = nn.Sequential(nn.Linear(d_model, joint_dim), nn.Tanh())
         self.diag = nn.Sequential(nn.Linear(d_model, joint_dim))
         self.l = nn.Sequential(nn.Linear(d_model, joint_dim * (joint_dim - 1) // 2))
-        self.register_buffer("l_index", torch.tril_indices(joint_dim, joint_dim, offset=-1))
+        self.register_buffer("l_index", torch.tril_indices(joint_dim, joint_dim, offset=-1, device="cpu"))
 
     def forward(self, latent: Tensor) -> Gaussians:
         """Decode latents (..., d_model): mean in (0, 1), D = softplus, L's strict lower triangle linear."""

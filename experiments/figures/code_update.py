@@ -145,9 +145,6 @@ def squared_residual(constraint: RegionConstraint, q: np.ndarray) -> np.ndarray:
     return np.square(constraint.residual(q)).sum(axis=1)
 
 
-# ---------------------------------------------------------------- what the figure shows of a code
-
-
 class Histogram(NamedTuple):
     """Counts of two samples in the same bins."""
 

@@ -49,9 +49,6 @@ COMPARED = ("work_ratio", "own_time_ratio", "length_ratio")
 SHIFT = 0.12  # [levels] between planners' marks at a level
 
 
-# ---------------------------------------------------------------- cost of a state check
-
-
 def draw_cost(folder: Path) -> list[Path]:
     """Times and ratios against the cost of a state check; RunStoreError or InvalidInputError for unusable rows."""
     groups = by_planner(rows_of_one_suite(read_rows(folder / RUNS_FILE)), ())
@@ -106,9 +103,6 @@ def break_even(ratios: Sequence[Interval]) -> float | None:
     last = int(slower[-1])
     share = logs[last] / (logs[last] - logs[last + 1])
     return float(COSTS[last] * (COSTS[last + 1] / COSTS[last]) ** share)
-
-
-# ---------------------------------------------------------------- difficulty
 
 
 def draw_difficulty(folder: Path) -> list[Path]:
@@ -187,9 +181,6 @@ def bins_of(difficulties: Mapping[str, float], bins: int = BINS) -> list[list[st
     """Names of problems from easy to hard in groups of nearly equal size; ties go by name."""
     ordered = sorted(difficulties, key=lambda name: (difficulties[name], natural_key(name)))
     return [list(part) for part in np.array_split(np.array(ordered, dtype=object), min(bins, len(ordered)))]
-
-
-# ---------------------------------------------------------------- robustness
 
 
 def draw_robustness(folder: Path) -> list[Path]:

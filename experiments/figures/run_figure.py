@@ -68,15 +68,10 @@ def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> l
     configuration = {"figure": NAME, "suite": SUITE, "problems": problems, "seconds": SECONDS}
     session = provenance(command, [0], weights_of(RESTARTED))
     record = _record(out, configuration, session)
-    written = draw_equal_time(_first(problems), out)
+    asked = [suite_named(SUITE).solvable(index) for index in range(problems)]
+    written = draw_equal_time([each for each in asked if isinstance(each, PlanningProblem)], out)
     record.create(configuration, session)
     return [*written, record.path]
-
-
-def _first(problems: int) -> list[PlanningProblem]:
-    """Problems of the suite."""
-    asked = [suite_named(SUITE).solvable(index) for index in range(problems)]
-    return [problem for problem in asked if isinstance(problem, PlanningProblem)]
 
 
 def _record(out: Path, configuration: Mapping[str, Any], session: Mapping[str, Any]) -> ProvenanceFile:
@@ -105,18 +100,16 @@ def _concept(update: CodeUpdate, folder: Path) -> list[Path]:
     return [*save_figure(figure, folder, "concept"), table]
 
 
+# figures by name, drawn into a folder: of an update, and of a folder of rows
 FIGURES: Mapping[str, Callable[[CodeUpdate, Path], list[Path]]] = {
     "histogram": _histogram,
     "concept": _concept,
 }
-"""Figures by name, each drawn into a folder; they return what they wrote."""
-
 ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
     "robustness": draw_robustness,
     "cost": draw_cost,
     "difficulty": draw_difficulty,
 }
-"""Figures of a folder of rows, drawn there."""
 
 
 def summary(update: CodeUpdate) -> list[str]:

@@ -193,6 +193,3 @@ def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Rob
     drawn = robot.random_configurations(rng, DRAWS)
     free = next((q for q in drawn if not checker.in_collision(q)), drawn[0])
     return scene, robot, KINDS[kind](robot.pose(free), rng)
-
-
-# Kinds of constraints that no model was trained on: what the hand keeps at a pose that it can take, and carries.

@@ -31,13 +31,8 @@ FIRST_SEED = 100
 CAN_NAME = "can"
 CRACKERS = ((0.600, -0.623, 0.287), -np.pi / 4)  # centre of mass [m] and yaw [rad]
 MUSTARD = (0.550, -0.303, 0.262)
-TARGET, TARGET_SIDE = (
-    (0.25, -0.45, 0.271),
-    0.1,
-)  # [m] corner and side of where the can is put (centre of mass)
-APPROACH = (
-    0.08  # [m] that the hand comes straight to the can: so deep are the fingers, and the can's 3 mm of play
-)
+TARGET, TARGET_SIDE = (0.25, -0.45, 0.271), 0.1  # [m] corner and side of where the can's centre of mass goes
+APPROACH = 0.08  # [m] that the hand comes straight to the can: depth of the fingers, and 3 mm of play
 CAN_GRIP = CAN.shape.radius  # type: ignore[union-attr]  # [m] opening of each finger
 REACH_HANDLE, REACH_CAN, CARRY = PAPER_PHASES
 

@@ -39,8 +39,7 @@ class UnsolvableProblem:
 
     name: str
     reason: str
-    kind: FailReason = FailReason.NO_START
-    """What its rows are counted as."""
+    kind: FailReason = FailReason.NO_START  # what its rows are counted as
 
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:

@@ -35,12 +35,9 @@ from experiments.suites.sensor_task import (
     sensor_problem,
 )
 
+# for problems that no shipped weights fit, and for constraints that no model has seen
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
-"""Planners for problems that no shipped weights fit."""
-ZERO_SHOT = tuple(
-    name for name in ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq") if name in PLANNERS
-)
-"""Planners compared under constraints that no model has seen."""
+ZERO_SHOT = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
 
@@ -54,9 +51,7 @@ class Suite:
     make: Callable[[int], SuiteItem]
     planners: Sequence[str] = tuple(PLANNERS)  # run unless others are named
     carried: tuple[Attachment, ...] = ()  # in the hand in pictures, where its problems do not model it
-    new_scenes: bool = (
-        False  # not known beforehand: every planner computes for itself what it makes of a cloud
-    )
+    new_scenes: bool = False  # every planner computes its own distance field and edge costs of a cloud
     settings: Mapping[str, object] = field(default_factory=dict)  # what else decides its rows, as json values
 
     def item(self, index: int) -> SuiteItem:
