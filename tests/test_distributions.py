@@ -13,20 +13,6 @@ COVARIANCES = np.array([[[0.04, 0.03], [0.03, 0.09]], [[1.0, -0.5], [-0.5, 0.5]]
 WEIGHTS = np.array([0.3, 0.7])
 
 
-def draw(distribution, count=50_000, seed=0):
-    return distribution.sample(np.random.default_rng(seed), count)
-
-
-@pytest.mark.parametrize(
-    "distribution", [UNIFORM, GaussianMixture(MEANS, COVARIANCES, WEIGHTS, UNIFORM, 0.2)]
-)
-def test_draws_repeat_and_have_the_shape_asked_for(distribution):
-    np.testing.assert_array_equal(draw(distribution, 20), draw(distribution, 20))
-    assert not np.array_equal(draw(distribution, 20), draw(distribution, 20, seed=1))
-    for count in (0, 1, 3):
-        assert draw(distribution, count).shape == (count, 2)
-
-
 @pytest.mark.parametrize(
     ("changes", "pattern"),
     [

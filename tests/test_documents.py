@@ -56,11 +56,6 @@ def test_targets_of_make_on_pages_are_there():
     assert {"reproduce", "test"} <= named <= targets
 
 
-def test_commands_are_found_as_they_are_written():
-    text = "```\ncd x && .venv/bin/cvqmpt plan a --seed 0 && b\ncvqmpt bench x|y|...  # c\nmake venv\n```\ncvqmpt no"
-    assert list(commands_of(text)) == [["plan", "a", "--seed", "0"], ["bench", "x"]]
-
-
 def test_quick_commands_of_the_readme_run(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     commands = list(commands_of(PAGES[0].read_text(encoding="utf-8")))

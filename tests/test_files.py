@@ -24,13 +24,6 @@ def names(folder):
     return [path.name for path in folder.iterdir()]
 
 
-def test_written_text_comes_back_and_nothing_else_is_left(tmp_path):
-    write_text(tmp_path / "a.txt", "μ\n")
-    write_text(tmp_path / "a.txt", "σ\n")
-    assert read_text(tmp_path / "a.txt") == "σ\n"
-    assert names(tmp_path) == ["a.txt"]
-
-
 def test_a_full_disk_keeps_the_old_file_and_leaves_no_other(tmp_path, monkeypatch):
     write_bytes(tmp_path / "a", b"old")
 

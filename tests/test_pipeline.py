@@ -41,14 +41,6 @@ def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
     assert better.solved and certify(problem, better.simplified.path).valid
 
 
-def test_time_left_finds_a_short_way_that_the_roadmap_is_too_coarse_for():
-    """A goal lies 1.2 rad from the start; nodes of the roadmap are further apart than the gap between is wide."""
-    near = place_problem(1006)
-    found = solve(near, "roadmap-cvq", ENOUGH, seed=0, clearance=False, optimize=Budget(iterations=3000))
-    (_, first), *_, (_, last) = found.improvement.lengths
-    assert found.solved and first > 4.0 and last < 2.0
-
-
 def test_seconds_left_are_used_and_hardly_more(problem):
     made = solve(
         problem, "birrt", Budget(seconds=60.0), seed=3, clearance=False, optimize=Budget(seconds=0.2)

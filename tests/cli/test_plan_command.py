@@ -42,13 +42,6 @@ def test_time_for_a_better_path_is_refused_by_name(capsys, problem_file, options
     assert word in refused(capsys, "plan", "--problem-file", problem_file, *options.split())
 
 
-def test_what_was_gained_is_said(capsys, problem_file):
-    words = ["plan", "--problem-file", str(problem_file), "--iterations", "20000", "--optimize", "40"]
-    assert main(words) == 0
-    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("optimize"))
-    assert "of 40 iterations" in line and "shorter" in line
-
-
 def test_command_line(task, tmp_path, capsys):
     task.save(tmp_path / "task.json")
     assert main(["plan", "--task-file", str(tmp_path / "task.json")]) == 0

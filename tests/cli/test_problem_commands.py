@@ -49,17 +49,6 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         assert not problem.collision_checker().in_collision(q) and not problem.manifold.residual(q).any()
 
 
-def test_configurations_become_the_start_and_goals_of_a_file_that_has_none(mine, capsys):
-    data = json.loads(mine.read_text())
-    del data["start"]
-    mine.write_text(json.dumps(data))
-    words = ["ik", "--problem-file", str(mine), "--region", "goal_region", "--count", "2", "--json"]
-    assert main(words) == 0
-    start, goal = json.loads(capsys.readouterr().out)["configurations"]
-    del data["goal_region"]
-    check_problem(PlanningProblem.from_dict({**data, "start": start, "goals": [goal]}))
-
-
 def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
     assert main(["ik", "--problem-file", str(mine), "--pose", "5 0 0 0 0 0"]) == 1
     assert "0 of 1 configurations; of 100 poses, 100 without inverse kinematics" in capsys.readouterr().out

@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from experiments import everything
-from experiments.everything import PROFILES, Amount, amounts
+from experiments.everything import Amount, amounts
 from experiments.suites.suite import SUITES
 
 
@@ -48,22 +48,6 @@ def test_every_suite_and_the_controls_are_part_of_everything():
     assert {"cvq-no-uniform", "birrt"} <= set(full["controls"].planners)
     with pytest.raises(UnknownChoiceError, match="tiny"):
         amounts("tiny")
-
-
-@pytest.mark.parametrize("profile", sorted(set(PROFILES) - {"full"}))
-def test_smaller_profiles_run_less_of_the_same(profile):
-    full = {part.folder: set(part.experiment.runs) for part in amounts("full")}
-    for part in amounts(profile):
-        mine = {replace(run, budget=None) for run in part.experiment.runs}
-        assert mine and mine <= {replace(run, budget=None) for run in full[part.folder]}, part.folder
-
-
-@pytest.mark.parametrize("profile", PROFILES)
-def test_amounts_of_one_folder_continue_each_other(profile):
-    settings = {}
-    for part in amounts(profile):
-        settings.setdefault(part.folder, []).append(part.experiment.settings())
-    assert all(found == found[:1] * len(found) for found in settings.values())
 
 
 def test_amounts_of_everything_are_fixed(capsys, tmp_path):

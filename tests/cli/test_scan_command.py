@@ -63,16 +63,6 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(folder, camera, tmp_pat
     assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
 
 
-def test_unknown_space_may_be_an_obstacle(folder, camera, tmp_path, capsys):
-    counts = []
-    for unknown in ("free", "occupied"):
-        out = tmp_path / f"{unknown}.json"
-        words = ["--arm-at", START, "--map", "0.05", "--unknown", unknown, "--out", out]
-        assert run("scan", folder / "depth.png", *camera, *words) == 0
-        counts.append(len(read_scene(tmp_path / f"{unknown}.json")["scan"].shape.cells))
-    assert counts[1] > 3 * counts[0]
-
-
 def test_a_scan_without_a_pose_is_levelled(folder, capsys):
     assert run("scan", folder / "cloud.ply", "--level", "table") == 0
     said = {line.split()[0]: line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()}
@@ -88,13 +78,6 @@ def test_an_unknown_file_becomes_a_certified_path_in_one_command(folder, camera,
     said = capsys.readouterr()
     assert "rotation about y" in said.out and "certificate valid" in said.out
     assert "robot " in said.err
-
-
-def test_a_scene_written_by_scan_can_be_planned_in(folder, camera, tmp_path, capsys):
-    assert run("scan", folder / "depth.png", *camera, "--arm-at", START, "--out", tmp_path / "s.json") == 0
-    goal = ["--goal-pose", "0.45,0.35,0.35,3.14,0,0"]
-    assert run("plan", "--scene", tmp_path / "s.json", "--start", START, *goal, "--iterations", 5000) == 0
-    assert "certificate valid" in capsys.readouterr().out
 
 
 def test_a_network_may_be_shown_the_scan_beside_a_suite(folder, camera, capsys):

@@ -50,17 +50,6 @@ def refused(data, kind=Heap):
     return message
 
 
-def test_everything_survives_a_round_trip_through_a_file(tmp_path):
-    tilted = pose((0.1, -0.2, 1.0 / 3.0), 0.7)
-    points = np.array([[0.1, 0.2, 1.0 / 3.0]])
-    heap = Heap((Thing("a", Ball(0.1), tilted, "blue", 2.5, 3, False), Thing("b", Mesh(points))))
-    heap.save(tmp_path / "heap.json")
-    again = Heap.load(tmp_path / "heap.json")
-    assert again == heap and hash(again) == hash(heap)
-    np.testing.assert_array_equal(again.things[0].place, tilted)
-    assert [path.name for path in tmp_path.iterdir()] == ["heap.json"]
-
-
 def test_defaults_are_left_out_and_may_be_missing_unless_all_is_asked_for():
     thing = from_plain(Thing, BALL)
     assert to_plain(thing) == BALL

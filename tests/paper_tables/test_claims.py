@@ -1,7 +1,5 @@
 """Whether the paper holds: verdicts from rows, and the pages that tell them."""
 
-import re
-
 import pytest
 from made_rows import a_results_folder
 
@@ -9,9 +7,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import (
     committed_pages,
-    page_text,
     stale_pages,
-    summary_lines,
     with_summary,
 )
 
@@ -38,19 +34,6 @@ def test_a_claim_does_not_hold_where_none_stands_and_is_not_judged_without_rows(
     assert claims[PLANNING].verdict == "not run" and claims[COMPLETE].verdict == "cannot be tested here"
 
 
-def test_the_page_tells_numbers_reasons_command_and_wall_clock(tmp_path):
-    results = a_results_folder(
-        tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, ompl_projected=4.0, birrt=1.0, new_one=2.0
-    )
-    found = evidence_below(results)
-    page = page_text(found, judged_claims(found), results)
-    assert "time −75.0 [−75.0, −75.0] % against `ompl-projected`" in page
-    assert re.search(r"cvq-mpt plans in half the time +\| ompl-projected .*\| confirmed ", page)
-    assert re.search(
-        r"cvq-mpt plans in half the time +\| birrt .*\| not confirmed: no clear difference ", page
-    )
-    assert "`cvqmpt x`: wall-clock 5 min" in page and "(place-task/runs.csv)" in page
-    assert "| new-one " in page, "a planner that nobody has listed stands among the others"
-    assert len(summary_lines(judged_claims(found))) == 1 + 9
+def test_a_readme_without_the_marks_of_the_summary_is_refused():
     with pytest.raises(InvalidInputError, match="put them where"):
-        with_summary("a README without the marks of the summary", page)
+        with_summary("a README without the marks of the summary", "")

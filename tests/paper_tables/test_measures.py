@@ -49,13 +49,6 @@ def test_ratios_are_geometric_means_over_problems_that_both_solved():
     assert paired_ratio([run("x", 0, 0)], base, work).estimate is None  # no work: no ratio
 
 
-def test_seeds_of_a_problem_count_once():
-    rows = [run("x", 0, 2), run("x", 0, 8, seed=1), run("x", 1, 1)]
-    base = [run("b", 0, 1), run("b", 0, 1, seed=1), run("b", 1, 1)]
-    ratio = paired_ratio(rows, base, work)
-    assert ratio.estimate == pytest.approx(2.0) and ratio.n == 2  # 4 and 1
-
-
 def names(keys):
     return {problem for _, problem, _ in keys}
 

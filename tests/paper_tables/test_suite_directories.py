@@ -43,13 +43,6 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     assert f"commit {'a' * 12} and {'b' * 12} WITH UNCOMMITTED CHANGES" in head
 
 
-@pytest.mark.parametrize(("suite", "papers"), [("place-task-with-can", True), ("my-place", False)])
-def test_only_suites_of_the_paper_get_its_numbers(tmp_path, suite, papers):
-    store(tmp_path, rows(suite))
-    for path in render_directory(tmp_path).paths:
-        assert ("22.95" in path.read_text()) is papers
-
-
 def test_directories_without_runs_say_what_to_do(tmp_path):
     def refused(message, directory=tmp_path):
         with pytest.raises(RunStoreError, match=message):

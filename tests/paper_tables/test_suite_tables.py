@@ -6,10 +6,8 @@ import io
 import pytest
 from made_rows import a_failure, a_row
 
-from paper_tables.constraints_table import constraints_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
-from paper_tables.place_task_table import place_task_table
 from paper_tables.robustness_table import levels_of, robustness_table
 
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
@@ -58,57 +56,6 @@ def test_times_of_tasks_sum_the_papers_phases_and_its_statements_are_judged():
     )
     assert len(said(table)) == 2, "nothing about planners that did not run"
     assert "| 19.71" in table.markdown and r"\toprule" in table.latex and max(map(len, table.brief)) <= 100
-
-
-def test_a_verdict_needs_tasks_that_both_solved():
-    rows = phases("opt-cvq-mpt", 0, 0.5, 9.0) + phases("tb-rrt", 1, 1.0, 10.0)
-    verdicts = said(multi_sequence_table(rows, ())).values()
-    assert len(verdicts) == 2 and all(line[-1].startswith("not judged") for line in verdicts)
-
-
-def test_ratios_are_taken_within_a_kind_and_over_all():
-    rows = [a_failure("48/1-upright", "roadmap-cvq", suite="constraints")]
-    for kind, name, less in ((0, "upright", 2), (2, "plane", 4)):
-        for k in range(6):
-            key = f"{8 * k + kind}/{kind + 1}-{name}"
-            shared = {"problem": key, "suite": "constraints", "n_projections": 0}
-            rows.append(a_row(**shared, n_state_checks=800))
-            rows.append(a_row(**shared, planner="roadmap-cvq", n_state_checks=800 // less))
-    table = constraints_table(rows, ())
-    ours = ours_in(table)
-    assert ours["work_ratio_under_upright", "roadmap-cvq"] == pytest.approx(0.5)
-    assert ours["work_ratio_under_plane", "roadmap-cvq"] == pytest.approx(0.25)
-    assert ours["work_ratio_under_all kinds", "roadmap-cvq"] == pytest.approx(8**-0.5)
-    assert ours["solved_under_upright", "roadmap-cvq"] == pytest.approx(600 / 7)
-    assert table.size == "13 problems, 2 kinds"
-    assert table.sections["Failures"][1:] == [["roadmap-cvq", "upright: timeout", "–", "1 of 13"]]
-
-
-def scanned(planner, scene, time, length, true_free=True):
-    work = {"vertices": 40, "n_projections": 9, "n_state_checks": 9}
-    sensed = {"t_sense_s": 0.2, "t_whole_s": 0.3 + time, "true_free": true_free}
-    return a_row(
-        str(scene), planner, suite="sensor", t_total_s=time, path_length_rad=length, **work, **sensed
-    )
-
-
-def test_truth_stands_beside_the_map_and_statements_are_judged():
-    rows = [scanned("ompl-projected", k, 1.0 + 0.01 * k, 10.0) for k in range(6)]
-    rows += [scanned("opt-cvq-mpt", k, 2.0 + 0.03 * k, 7.0 + 0.01 * k, true_free=k > 0) for k in range(6)]
-    rows += [a_failure("6", "opt-cvq-mpt", suite="sensor", t_total_s=10.0)]
-    table = place_task_table(rows, read_published("place_task.csv", "Physical robot"), sensed=True)
-    truth = {line[0]: line for line in table.sections["In the map and in truth"]}
-    assert truth["opt-cvq-mpt"][2].startswith("83.3 [")  # 5 of 6 paths
-    verdicts = said(table, 'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"')
-    by_metric = {
-        text.removeprefix("opt-cvq-mpt outperforms in "): line for (text, _), line in verdicts.items()
-    }
-    assert by_metric["planning time"][-1] == "not confirmed: more of it"
-    assert by_metric["vertices"][-1] == "not confirmed: no clear difference"
-    assert by_metric["path length"][-1] == "confirmed"
-    assert by_metric["path length"][2] == "42.2" and by_metric["vertices"][2] == "-7.9"  # the paper's own
-    assert "8.37" in table.latex and "free_in_truth,%,opt-cvq-mpt,ours,83.3" in table.csv
-    assert max(map(len, table.brief)) <= 100
 
 
 def varied(scene, planner, setting, solved=True, **values):

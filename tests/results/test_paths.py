@@ -34,12 +34,6 @@ def test_what_was_hashed_comes_back_bit_for_bit(store):
     assert np.load(store / PATHS_FILE)[states_hash(path(2))].shape == (40, 7), "no reader of ours is needed"
 
 
-def test_a_continued_run_adds_paths_and_drops_those_of_rows_it_replaced(store):
-    with RunStore.open(store, CONFIGURATION) as again:
-        again.append([a_row("p1", path_sha256=states_hash(path(9)))], [path(9)])
-    assert set(StoredPaths(store)) == {states_hash(path(seed)) for seed in (2, 3, 9)}
-
-
 @pytest.mark.parametrize("cut", [1, 8, 60, 130, 1000])
 def test_a_path_cut_short_by_a_kill_is_left_out_and_the_others_stay(tmp_path, cut):
     killed = RunStore.open(tmp_path, CONFIGURATION)

@@ -1,11 +1,9 @@
 import json
-import subprocess
 
 import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results import provenance as provenance_module
 from cvqmpt_lab.results.provenance import ProvenanceFile, provenance
 
 
@@ -16,29 +14,6 @@ def test_provenance_names_versions_machine_and_seeds():
     assert record["versions"]["numpy"] == np.__version__
     assert {"pin", "coal", "ompl", "numba", "torch", "rerun-sdk"} < set(record["versions"])
     assert record["cpu_count"] >= 1 and record["date_utc"].endswith("+00:00")
-
-
-def git(directory, *arguments):
-    identity = ["-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "commit.gpgsign=false"]
-    subprocess.run(["git", "-C", directory, *identity, *arguments], check=True, capture_output=True)
-
-
-def test_git_state_is_read_and_never_fails(tmp_path, monkeypatch):
-    root = tmp_path.resolve()
-    assert provenance_module._git_state(root) == (None, None)
-    git(root, "init")
-    assert provenance_module._git_state(root) == (None, False)
-    (root / "file").write_text("1")
-    git(root, "add", "file")
-    git(root, "commit", "-m", "one")
-    commit, dirty = provenance_module._git_state(root)
-    assert commit is not None and len(commit) == 40 and dirty is False
-    (root / "file").write_text("2")
-    assert provenance_module._git_state(root) == (commit, True)
-    (root / "below").mkdir()
-    assert provenance_module._git_state(root / "below") == (None, None)  # another project's repository
-    monkeypatch.setenv("PATH", "")
-    assert provenance_module._git_state(root) == (None, None)
 
 
 @pytest.mark.parametrize(

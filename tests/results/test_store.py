@@ -22,21 +22,6 @@ def test_store_writes_rows_and_provenance(tmp_path):
     assert record["configuration"] == CONFIGURATION and record["command"] == ["a", "b"]
 
 
-def test_store_continues_and_replaces_repeated_keys(tmp_path):
-    with RunStore.open(tmp_path, CONFIGURATION) as store:
-        store.append([a_failure("p1")])
-    with RunStore.open(tmp_path, dict(reversed(CONFIGURATION.items())), {"git_commit": "abc"}) as store:
-        assert len(store.done()) == 1
-        store.append([a_row("p1", t_total_s=0.5)])
-        store.append([a_row("p0")])
-    assert [(r.problem, r.solved) for r in read_rows(tmp_path / RUNS_FILE)] == [("p0", True), ("p1", True)]
-    record = ProvenanceFile(tmp_path).read()
-    assert [{**later, "wall_s": None} for later in record["continued"]] == [
-        {"git_commit": "abc", "wall_s": None}
-    ]
-    assert record["wall_s"] >= 0.0 and record["continued"][0]["wall_s"] >= 0.0
-
-
 def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):
     phases = [a_row(f"3/{k}-{name}") for k, name in enumerate(("reach", "carry"), 1)]
     store = RunStore.open(tmp_path, CONFIGURATION)
@@ -60,24 +45,6 @@ def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(
         RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "bbb"}})
     RunStore.open(tmp_path, CONFIGURATION, {"weights": {"vq_mpt": "ccc"}}).finish()
     RunStore.open(tmp_path, CONFIGURATION, {"weights": {}}).finish()
-
-
-def test_looking_at_a_finished_store_changes_nothing(tmp_path):
-    with RunStore.open(tmp_path, CONFIGURATION, {"git_commit": "abc"}) as store:
-        store.append([a_row()])
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with RunStore.open(tmp_path, CONFIGURATION, {"git_commit": "def"}) as store:
-        assert store.rows() == [a_row()]
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
-def test_an_interrupted_block_keeps_its_rows(tmp_path, interruption):
-    with pytest.raises(interruption), RunStore.open(tmp_path, CONFIGURATION) as store:
-        store.append([a_row("p1")])
-        raise interruption
-    assert read_rows(tmp_path / RUNS_FILE) == [a_row("p1")]
-    assert not (tmp_path / PARTIAL_FILE).exists()
 
 
 def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):

@@ -124,19 +124,6 @@ def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
     assert robot.reach > load_robot(plain, "tool").reach + 1.0
 
 
-def test_a_joint_may_be_called_like_a_link(edited):
-    """As in the descriptions of two arms that people own."""
-    for name, locked in (
-        ("wrist", {}),
-        ("wrist", {"wrist": 0.2}),
-        ("tool", {"tool": 0.0}),
-        ("wrist", {"lift": 0.1}),
-    ):
-        urdf = edited((TWIST, f'name="{name}" type="revolute"'), ('joint name="mount"', 'joint name="elbow"'))
-        robot = load_robot(urdf, "tool", locked=locked)
-        assert robot.dof == 4 - len(locked) and np.isfinite(robot.pose(np.zeros(robot.dof))).all()
-
-
 AXIS = '<axis xyz="0 1 0"/>'
 BOX = '<geometry><box size="0.1 0.12 0.08"/></geometry>'
 CYLINDER = '<cylinder radius="0.04" length="0.3"/>'

@@ -8,21 +8,20 @@ import pytest
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
-from cvqmpt_lab.scene.articulation import DEEPEST, REST_GAP, take_out
+from cvqmpt_lab.scene.articulation import DEEPEST, take_out
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world, handle_region
+from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world
 from experiments.suites.place_task import DOOR
 
 AWAY = np.array([2.8, 0.3, 0.0, -1.5, 0.0, 1.571, 0.785])  # the arm looks away from the kitchen
@@ -102,51 +101,9 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
     assert motion_free(spaces[0].arrays, start, end)
 
 
-def brick(x, y, z=1.0, size=0.1):
-    return SceneObject("brick", Box((size,) * 3), pose((x, y, z)))
-
-
-@pytest.mark.parametrize(
-    ("x", "y"), [(0.3, -0.45), (0.471 - 0.05 - 0.5 * REST_GAP, -0.3)], ids=["on its way", "leaning on it"]
-)
-def test_an_obstacle_in_the_way_stops_the_door(panda, x, y):
-    """Also one that stands closer than the gap in front of the closed door: it is no casing."""
-    blocked = kitchen().with_objects(brick(x, y))
-    scene, robot = mechanism(panda, blocked, DOOR)
-    assert "brick" in scene
-    checker, space = CollisionChecker(robot, scene), space_of(robot, scene)
-    angles = np.linspace(-1.57, 0.0, 200)
-    hits = np.array([checker.in_collision(np.append(AWAY, a)) for a in angles])
-    free = np.array([space.valid(np.append(AWAY, a)) for a in angles])
-    assert hits.any() and not hits[-1] and not (hits & free).any() and (hits | free).mean() > 0.97
-    pairs = {str(checker.colliding_pair(np.append(AWAY, a))) for a in angles[hits]}
-    assert pairs == {f"{DOOR}/panel and brick"}
-    assert not motion_free(space.arrays, np.append(AWAY, 0.0), np.append(AWAY, -1.57))
-
-
 def space_of(robot, scene, backend="compiled"):
     q = np.append(AWAY, 0.0)
     return ConstrainedSpace(PlanningProblem("test", robot, scene, q, q[None]), backend)
-
-
-def test_casing_stops_the_arm(panda, world):
-    """A hand put into the side board of the cabinet, the door wide open: without the board it would be free."""
-    _, robot = world
-    board = kitchen()["dagger/cell1_side_right"].T_world_object.copy()
-    board[:3, 3] += (-0.25, 0.0, -0.2)
-    board[:3, :3] = handle_region().Tw_e[:3, :3]
-    reached = solve_poses(robot, board[None], np.random.default_rng(0), attempts=60)[0]
-    reached[:, 7] = -1.5
-    item = replace(from_plain(ArticulatedObject, robot.source["articulated"]), casing=())
-    bare = with_articulated_object(panda, item)
-    nothing = Scene("nothing", ())
-    without, checker = (CollisionChecker(r, nothing) for r in (bare, robot))
-    stopped = [q for q in reached if not without.in_collision(q)]
-    assert stopped and not any(space_of(robot, nothing).valid(q) for q in stopped)
-    assert {checker.colliding_pair(q).second for q in stopped} <= {
-        "dagger/cell1_side_right",
-        "dagger/cell0_side_left",
-    }
 
 
 def test_compiled_and_exact_agree(world, grasp):
@@ -161,18 +118,6 @@ def test_compiled_and_exact_agree(world, grasp):
         assert [d for q in states[expected & ~answers] if (d := exact.clearance(q) - 1e-4) < -CONTACT] == []
         false, narrow = (answers & ~expected).sum(), close.in_collision_batch(states[~expected]).sum()
         assert 100 < expected.sum() < 1900 and narrow > 100 and false <= 0.03 * narrow
-
-
-def test_motions_of_arm_and_door_called_free_are_free(world, grasp):
-    """Motions of both at once, from a held handle: coal agrees all along."""
-    scene, robot = world
-    checker, space = CollisionChecker(robot, scene), space_of(robot, scene)
-    rng = np.random.default_rng(4)
-    ends = np.clip(grasp + 0.2 * rng.standard_normal((300, 2, 8)), robot.lower, robot.upper)
-    free = [(a, b) for a, b in ends if space.valid(a) and motion_free(space.arrays, a, b)]
-    assert 20 < len(free) < 280
-    shares = np.linspace(0.0, 1.0, 60)[:, None]
-    assert not any(checker.in_collision_batch(a + shares * (b - a)).any() for a, b in free)
 
 
 def test_only_the_named_contact_is_allowed(panda, grasp):

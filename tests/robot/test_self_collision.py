@@ -54,13 +54,6 @@ def test_the_pairs_are_kept_and_a_spoilt_file_is_replaced(slider_arm_urdf, cache
     assert again.left_out_pairs == robot.left_out_pairs and kept.read_text() == whole
 
 
-def test_another_robot_has_another_file(slider_arm_urdf, edited, cache):
-    larger, further = (TOOL, 'size="0.02 0.06 0.03"'), ('upper="0.7"', 'upper="0.8"')
-    for urdf in (slider_arm_urdf, edited(larger), edited(further, name="b.urdf")):
-        load_robot(urdf, "tool")
-    assert len(list((cache / "cvqmpt_lab" / "self_collision").iterdir())) == 3
-
-
 def test_without_a_place_for_the_cache_pairs_are_sampled_all_the_same(slider_arm_urdf, tmp_path, monkeypatch):
     expected = load_robot(slider_arm_urdf, "tool").left_out_pairs
     (tmp_path / "file").write_text("")

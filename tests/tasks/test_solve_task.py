@@ -10,14 +10,10 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planners import PLANNERS, Method
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.robot.loading import FINGER_OPENING
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve_task import solve_task
 from experiments.rows import Run, phase_rows
-from experiments.suites.door_task import OPEN
-from experiments.suites.multi_sequence import CAN_NAME
-from experiments.suites.place_task import DOOR
 
 BUDGET = Budget(seconds=20.0)
 RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)
@@ -44,35 +40,6 @@ def test_a_whole_task_is_solved_and_every_phase_certified(task_solution):
         motion = outcome.trajectory
         np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-12)
         np.testing.assert_allclose(motion.positions[[0, -1]], path.states[[0, -1]], atol=1e-9)
-
-
-def test_phases_follow_each_other(task_solution):
-    """Each begins where the last ended; the door turned, the can stands upright where it was to be put."""
-    for before, after in zip(task_solution.outcomes, task_solution.outcomes[1:], strict=False):
-        end = before.solution.simplified.path.states[-1]
-        np.testing.assert_array_equal(after.solution.problem.start[:7], end[:7])
-    end = task_solution.world
-    assert end.scene.articulation(DOOR).value == pytest.approx(OPEN, abs=1e-4)
-    assert end.held is None and end.source["finger_opening"] == FINGER_OPENING
-    T = end.scene[CAN_NAME].T_world_object
-    goal = task_solution.task.phases[7].goal.T0_w[:3, 3]
-    np.testing.assert_allclose(T[:2, 3], goal[:2], atol=2e-3)
-    assert T[2, 2] > np.cos(0.01)
-
-
-def test_the_can_is_in_the_way_until_it_is_grasped(task_solution):
-    problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
-    for name in ("reach-handle", "open-door", "reach-can", "approach"):
-        assert problems[name].scene[CAN_NAME].obstacle and not problems[name].attachments
-    assert CAN_NAME not in problems["carry"].scene
-    assert [item.name for item in problems["carry"].attachments] == ["carried_can"]
-    assert problems["open-door"].robot.dof == 8
-
-
-def test_same_seed_same_motion(task, task_solution):
-    again = solve_task(task, "birrt", BUDGET, seed=0)
-    for a, b in zip(again.outcomes, task_solution.outcomes, strict=True):
-        np.testing.assert_array_equal(a.solution.simplified.path.states, b.solution.simplified.path.states)
 
 
 class FailsOnce:

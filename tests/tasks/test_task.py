@@ -27,13 +27,6 @@ def grasping_twice(task):
     return replace(task, phases=(*task.phases[:7], again, *task.phases[7:]))
 
 
-def test_json_round_trip(task, tmp_path):
-    task.save(tmp_path / "task.json")
-    again = Task.load(tmp_path / "task.json")
-    assert again.to_dict() == task.to_dict()
-    assert [type(phase) for phase in again.phases] == [type(phase) for phase in task.phases]
-
-
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [

@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 
 FULL = TimingSettings(speed=1.0)
@@ -50,27 +48,6 @@ def motion(paths, limits):
     return time_path(paths[0], limits, FULL)
 
 
-@pytest.mark.parametrize(("distance", "expected"), [(0.5, 2.0 * np.sqrt(0.5 / 4.0)), (3.0, 3.0 / 2.0 + 0.5)])
-def test_a_straight_line_takes_the_time_of_a_trapezoid(distance, expected):
-    """Joint 'first' alone: speeds up at 4, goes 2 at most."""
-    line = np.array([[0.1, 0.3], [0.1 + distance, 0.3]])
-    assert time_path(line, TWO_JOINTS, FULL).duration == pytest.approx(expected, rel=2e-3)
-
-
-@pytest.mark.parametrize("speed", [1.0, 0.1, 0.01])
-def test_limits_hold_between_the_points_too(paths, limits, speed):
-    """By differences of positions alone, at 20 000 moments."""
-    for path in paths[:2]:
-        motion = time_path(path, limits, TimingSettings(speed=speed))
-        times = np.linspace(0.0, motion.duration, 20_001)
-        velocities = np.diff(motion.at(times).positions, axis=0) / times[1]
-        accelerations = np.diff(velocities, axis=0) / times[1]
-        fastest = (np.abs(velocities) / limits.velocity).max()
-        hardest = (np.abs(accelerations) / limits.acceleration).max()
-        assert fastest <= 1.001 * speed and hardest <= 1.02 * speed
-        assert max(fastest, hardest) > 0.98 * speed, "and are made use of"
-
-
 def segment_distances(points, path):
     """Distance of each point (k, n) from a polyline (m, n)."""
     a, d = path[:-1], np.diff(path, axis=0)
@@ -86,13 +63,6 @@ def test_the_motion_stays_as_close_to_the_path_as_it_says(paths, limits, deviati
     assert 0.2 * motion.deviation < furthest <= 1.001 * motion.deviation <= 1.001 * deviation
 
 
-def test_the_timed_motion_is_certified_too(solutions, limits):
-    for solution in solutions:
-        motion = time_path(solution.simplified.path.states, limits)
-        positions = motion.sampled(0.02).positions
-        assert certify(solution.problem, JointPath(positions), clearance=False).reasons == ()
-
-
 def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
     seen = []
 
@@ -106,38 +76,10 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
         time_path(paths[0], limits, FULL, lambda states: ("never",))
 
 
-def test_a_path_that_turns_back_is_passed_without_a_stop():
-    there_and_back = np.array([[0.0, 0.0], [1.0, 0.2], [0.0, 0.0]])
-    motion = time_path(there_and_back, TWO_JOINTS, replace(FULL, deviation=1e-2))
-    one_way = time_path(there_and_back[:2], TWO_JOINTS, FULL)
-    assert motion.duration == pytest.approx(2.0 * one_way.duration, rel=0.05)
-    assert motion.positions[:, 0].max() == pytest.approx(1.0, abs=1e-2)
-
-
-def test_even_sampling_is_the_same_motion_which_rests_before_and_after(motion):
-    even = motion.sampled(0.01)
-    assert np.ptp(np.diff(even.times)) < 1e-9 and np.diff(even.times).max() <= 0.01 + 1e-12
-    assert even.duration == motion.duration and even.joint_names == motion.joint_names
-    assert np.abs(even.at(0.333).positions - motion.at(0.333).positions).max() < 1e-3
-    early, late = motion.at(-1.0), motion.at(motion.duration + 1.0)
-    np.testing.assert_allclose([early.positions, late.positions], motion.positions[[0, -1]], atol=1e-12)
-    assert not any(x.any() for x in (*early[1:], *late[1:]))
+def test_times_that_are_not_numbers_are_refused(motion):
     for wrong, words in ((motion.at, "time nan"), (motion.sampled, "sampling period nan")):
         with pytest.raises(InvalidInputError, match=words):
             wrong(np.nan)
-
-
-def test_json_is_a_ros_message(motion, tmp_path):
-    save_trajectory(motion, tmp_path / "motion.json")
-    message = json.loads((tmp_path / "motion.json").read_text())
-    assert set(message) == {"header", "joint_names", "points"}
-    fields = {"positions", "velocities", "accelerations", "effort", "time_from_start"}
-    assert all(set(point) == fields for point in message["points"])
-    stamps = [point["time_from_start"] for point in message["points"]]
-    assert all(0 <= s["nanosec"] < 10**9 and isinstance(s["sec"], int) for s in stamps)
-    np.testing.assert_allclose([s["sec"] + 1e-9 * s["nanosec"] for s in stamps], motion.times, atol=1e-9)
-    for field in ("positions", "velocities", "accelerations"):
-        assert np.array_equal([point[field] for point in message["points"]], getattr(motion, field))
 
 
 def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(slider_arm_urdf):
