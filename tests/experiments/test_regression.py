@@ -38,9 +38,6 @@ class BrokenBiRRT(BiRRT):
         return super().search(space, start, goals, near, replace(budget, iterations=50), rng)
 
 
-# ---------------------------------------------------------------- runs
-
-
 def test_runs_repeat_whatever_ran_before(few):
     assert measure(FEW[::-1]) == few
     assert compare(Expectations(HERE, few), few, HERE)[1] == []
@@ -115,9 +112,6 @@ def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     assert {values["fail_reason"] for values in committed.outcomes.values()} == {None, "iteration_limit"}
 
 
-# ---------------------------------------------------------------- tables
-
-
 @pytest.fixture
 def results(tmp_path):
     """A folder of results with one directory of rendered rows."""
@@ -190,9 +184,6 @@ def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words):
     needs = {"cvq-mpt": ("vq_mpt",) if "weights" in words else ()}
     (line,) = untraceable(tmp_path, lambda planner: needs.get(planner, ()))
     assert words in line
-
-
-# ---------------------------------------------------------------- the command
 
 
 def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_path, monkeypatch, capsys):

@@ -104,22 +104,16 @@ def weights(out):
     return {path.name: path.read_bytes() for path in sorted((out / "model").glob("*.safetensors"))}
 
 
-# ---------------------------------------------------------------- what comes out
-
-
 def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     rows = curves(dictionary)
     assert [row["epoch"] for row in rows] == ["1", "2"] and rows[-1]["step"] == "12"
-    wanted = {"train_loss", "validation_nll", "validation_codes_in_use", "validation_mean_std_rad"}
-    assert wanted <= set(rows[0])
     checkpoint = load_checkpoint(dictionary / "model")
     assert checkpoint.sequence_model is None and checkpoint.config.feature_dim == 12
     norms = checkpoint.dictionary.quantizer.embedding.weight.norm(dim=1)
     torch.testing.assert_close(norms, torch.ones_like(norms))
-    metadata = checkpoint.metadata
+    metadata, losses = checkpoint.metadata, checkpoint.metadata["losses"]
     assert metadata["data_sha256"] == open_dataset(data).sha256 and metadata["seed"] == 0
-    assert metadata["command"] == ["test"] and metadata["kinematics"]["points"] == kinematics()["points"]
-    losses = metadata["losses"]
+    assert metadata["kinematics"]["points"] == kinematics()["points"]
     assert losses["validation_nll"] == float(rows[losses["epoch"] - 1]["validation_nll"])
     assert {p.name for p in dictionary.iterdir()} == {"training.json", "state.pt", "curves.csv", "model"}
 
@@ -137,9 +131,6 @@ def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, published_dictiona
         assert torch.equal(words.state_dict()[name], tensor)
     scene = model.encode_scene(torch.rand(1, 48, 3))
     assert len(beam_search(model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7)))) == 1
-
-
-# ---------------------------------------------------------------- continue and repeat
 
 
 @pytest.mark.parametrize(("stage", "at"), [("stage1", 1), ("stage1", 6), ("stage2", 6), ("mpnet", 1)])
@@ -192,9 +183,6 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
     found = safetensors.numpy.load((out / "model" / "mpnet.safetensors").read_bytes())
     for name, tensor in stage.module.state_dict().items():
         np.testing.assert_allclose(found[name], tensor.numpy(), atol=1e-6, err_msg=name)
-
-
-# ---------------------------------------------------------------- what is refused
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_written(
@@ -278,9 +266,6 @@ def test_a_training_killed_while_it_replaces_its_model_gets_it_back(tmp_path, da
     go("stage1", data, whole, epochs=1)
     assert weights(whole) == before
     assert not list(whole.glob(".*"))
-
-
-# ---------------------------------------------------------------- profiles, command line
 
 
 def test_profiles_survive_json():

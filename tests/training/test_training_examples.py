@@ -56,9 +56,6 @@ def positions_one_by_one(data, q):
     return np.concatenate([(frames[link] @ [*offset, 1.0])[:3] for link, offset in places])
 
 
-# ---------------------------------------------------------------- link positions
-
-
 @pytest.mark.parametrize(
     "other", [{}, {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}], ids=["in order", "any link"]
 )
@@ -80,9 +77,6 @@ def test_link_positions_equal_a_loop(other):
 def test_kinematics_that_do_not_fit_are_named(change):
     with pytest.raises(InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation|sliders)"):
         from_plain(SerialChain, kinematics() | change, "kinematics")
-
-
-# ---------------------------------------------------------------- clouds
 
 
 def distances(points, shapes):
@@ -160,9 +154,6 @@ def test_measured_clouds_are_those_of_evaluation_cameras():
     assert one.shape == (1024, 3) and one.dtype == np.float32 and len(np.unique(one, axis=0)) > 600
 
 
-# ---------------------------------------------------------------- augmentation
-
-
 def test_turning_moves_cloud_and_links_alike(dataset, chain):
     turn = BaseTurn(dataset, True)
     links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
@@ -188,9 +179,6 @@ def test_robots_that_cannot_be_turned_about_their_base_are_not(dataset, tmp_path
     for k, other in enumerate((tilted, kinematics() | {"sliders": [0]})):
         turn = BaseTurn(open_dataset(write_dataset(tmp_path / str(k), kinematics=other)), True)
         assert turn.draw(np.arange(2), rng) == 0.0 and not turn.draw_each(np.arange(2), rng).any()
-
-
-# ---------------------------------------------------------------- batches
 
 
 def test_groups_have_each_path_once_and_one_scene(dataset):
@@ -219,9 +207,6 @@ def test_batches_repeat_by_seed_differ_by_epoch_and_validate_on_held_out_paths(d
     np.testing.assert_array_equal(batches[0]["cloud"], batches[0]["cloud"])
     held_out = {tuple(dataset.paths.joints(p)[[0, -1]].ravel()) for p in dataset.split("validation").tolist()}
     assert ends <= held_out
-
-
-# ---------------------------------------------------------------- sequences
 
 
 def sequence_one_by_one(codes, most, goal):

@@ -87,9 +87,6 @@ def plan(problem, method, budget=ENOUGH, seed=0):
     return solve(problem, method, budget, seed, clearance=False).plan
 
 
-# ---------------------------------------------------------------- the network in numpy
-
-
 def test_forward_is_a_chain_of_linear_and_prelu():
     network = random_network()
     current, goal, code = torch.rand(3, 7), torch.rand(3, 7), torch.rand(3, 4)

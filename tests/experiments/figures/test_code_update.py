@@ -44,9 +44,6 @@ def update(problem):
     return update_codes(problem, None, SETTINGS)
 
 
-# ---------------------------------------------------------------- pure functions
-
-
 def test_markov_bound_by_hand_and_where_it_is_reached():
     """With all of the mean at k itself the inequality is an equality."""
     markov = MarkovTail.of(np.array([0.0, 1.0, 2.0, 5.0]), (0.5, 1.0, 2.0, 4.0, 8.0))
@@ -79,9 +76,6 @@ def test_histogram_by_hand():
 def test_bad_numbers_are_refused(make, given, said):
     with pytest.raises(InvalidInputError, match=said):
         make(*given)
-
-
-# ---------------------------------------------------------------- an update
 
 
 def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem, update):
@@ -118,9 +112,6 @@ def test_no_codes_is_said(problem, panda, tmp_path):
     save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
     with pytest.raises(InvalidInputError, match="predicted 0 codes"):
         update_codes(problem.with_goals(problem.goals[:1]), str(tmp_path / "silent"), SETTINGS)
-
-
-# ---------------------------------------------------------------- the command
 
 
 def rows_of(path):
