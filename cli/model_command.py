@@ -8,8 +8,14 @@ from typing import Any
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.vqmpt.codebook import robot_signature
-from cvqmpt_lab.vqmpt.weights import SHIPPED, read_description, read_model, resolve_model, weights_digest
+from cvqmpt_lab.vqmpt.weights import (
+    SHIPPED,
+    read_description,
+    read_model,
+    resolve_model,
+    robot_signature,
+    weights_digest,
+)
 
 EXAMPLES = (
     "cvqmpt model info",

@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "Budget": "search.result",
-    "GaussianMixture": "distributions",
+    "Budget": "search.query",
+    "GaussianMixture": "search.query",
     "Method": "planners",
     "PLANNERS": "planners",
     "PlanningProblem": "problem",

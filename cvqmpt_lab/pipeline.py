@@ -15,9 +15,18 @@ from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
-from cvqmpt_lab.search.query import Observation, Query, search
-from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.query import (
+    Budget,
+    Counters,
+    JointPath,
+    Observation,
+    PlanResult,
+    PlanStatus,
+    Query,
+    search,
+)
 from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -92,7 +101,8 @@ def solve(
         proposal = stages.update(query, proposal)
 
     _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.deadline.seconds)
-    plan = search(stages.search, query, proposal)
+    tree_search = stages.search or BiRRT()
+    plan = search(tree_search, query, proposal)
     _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
 
     if space.doubtful:
@@ -107,7 +117,7 @@ def solve(
         return found
     rng = problem.random_stream(seed, 1)
     best, improvement = improve(
-        space, stages.search, proposal.distribution, shorter.path, optimize, rng, simplification
+        space, tree_search, proposal.distribution, shorter.path, optimize, rng, simplification
     )
     return _with_better(found, best, improvement, clearance)
 

@@ -64,8 +64,10 @@ class Method:
             return "it needs a constraint, and the problem has none"
         if self.weights is None:
             return ""
-        from cvqmpt_lab.vqmpt.codebook import robot_signature  # reads weights
-        from cvqmpt_lab.vqmpt.weights import incompatibility
+        from cvqmpt_lab.vqmpt.weights import (
+            incompatibility,
+            robot_signature,  # reads weights
+        )
 
         return incompatibility(self.model or self.weights, self.weights, robot_signature(problem.robot))
 

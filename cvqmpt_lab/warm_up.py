@@ -14,9 +14,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.birrt import plant, remove_child_of_segment
-from cvqmpt_lab.search.query import Observation, Proposal, Query, search
-from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.birrt import BiRRT, plant, remove_child_of_segment
+from cvqmpt_lab.search.query import Budget, JointPath, Observation, Proposal, Query, search
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
@@ -95,7 +94,7 @@ def _search(problem: PlanningProblem, method: Method, backend: str) -> None:
     rng = np.random.default_rng(0)
     space = ConstrainedSpace(problem, backend)
     query = Query.of(space, Budget(iterations=ITERATIONS), rng)
-    search(method.stages(problem).search, query, Proposal(query.uniform))
+    search(method.stages(problem).search or BiRRT(), query, Proposal(query.uniform))
     simplify(space, JointPath(np.array([problem.start, problem.start])), rng, SimplifySettings(SHORTCUTS))
     trees = plant(problem.start, problem.goals, capacity=8)
     remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)  # else only after a failed fine check

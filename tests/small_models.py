@@ -6,7 +6,6 @@ import torch
 from training_data import kinematics
 
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.config import (
     DictionaryConfig,
     ModelConfig,
@@ -17,6 +16,7 @@ from cvqmpt_lab.vqmpt.config import (
 )
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.weights import robot_signature
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)
 METADATA = {"kinematics": kinematics()}

@@ -13,7 +13,7 @@ from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import check_bundle, entry, forget_unused, kernel
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut, space_arrays
+from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 
@@ -81,7 +81,7 @@ SIX = np.zeros((3, 6))
         lambda space, trees: motion.motion_free(space.arrays, SIX[0], SIX[1]),
         lambda space, trees: motion.refine_and_check(space.arrays, SIX, SIX),
         lambda space, trees: shortcut.shortcut(space.arrays, SIX, 3, np.zeros((1, 2)), SIX),
-        lambda space, trees: space_arrays.states_valid(space.arrays, SIX, np.zeros(3, bool)),
+        lambda space, trees: motion.states_valid(space.arrays, SIX, np.zeros(3, bool)),
         lambda space, trees: link_poses(space.robot.kinematics, SIX),
         lambda space, trees: space.valid(SIX[0]),
         lambda space, trees: space.project(SIX[0]),

@@ -16,10 +16,16 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY, Shapes
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE, RoadmapGraph, RoadmapShard, read_roadmap_shards
 from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
-from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.stages import EDGE_PART
-from cvqmpt_lab.vqmpt.weights import TRAINED_FOLDER, VQ_MPT, read_model, resolve_model, write_model
+from cvqmpt_lab.vqmpt.weights import (
+    TRAINED_FOLDER,
+    VQ_MPT,
+    read_model,
+    resolve_model,
+    robot_signature,
+    write_model,
+)
 
 NODES, EDGES = 256, 512  # drawn in each scene for training
 POINTS = 4096  # of a cloud

@@ -25,7 +25,7 @@ from cvqmpt_lab.training.shards import (
     finished_shards,
     write_shard,
 )
-from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.config import SerialChain
 
 FIRST_SCENE = 10_000_000  # scenes of evaluation suites have smaller numbers
 SCENES_PER_SEED = 1_000_000

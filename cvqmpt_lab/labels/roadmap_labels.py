@@ -26,7 +26,7 @@ from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
-from cvqmpt_lab.vqmpt.graph import links_of, nearest_rows
+from cvqmpt_lab.vqmpt.sampler import links_of, nearest_rows
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for

@@ -17,9 +17,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.distributions import SamplingDistribution
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.search.motion import DEVIATION, REACHED, STOPPED, distance, step_towards
+from cvqmpt_lab.search.motion import DEVIATION, ITERATIONS, REACHED, STOPPED, Space, distance, step_towards
 from cvqmpt_lab.search.nearest import (
     NearestIndex,
     enlarged_index,
@@ -27,9 +26,8 @@ from cvqmpt_lab.search.nearest import (
     nearest_index,
     nearest_node,
 )
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
+from cvqmpt_lab.search.query import Budget, JointPath, PlanResult, PlanStatus, SamplingDistribution, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.search.space_arrays import ITERATIONS, Space
 
 GROWING, CONNECTED, FULL = range(3)
 REMOVED = 1e6  # [rad] where a removed node is put, so that it is never nearest
@@ -47,7 +45,7 @@ class Trees(NamedTuple):
 
 
 def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
-    """Trees with a start (n,) and goals (k, n) as roots, and room for capacity nodes each, at least 4 k."""
+    """Trees with a start (n,) and goals (k, n) as roots, of `capacity` nodes each, at least 4 k."""
     capacity = max(capacity, 4 * len(goals))
     trees = Trees(
         nodes=np.empty((2, capacity, len(start))),
@@ -63,7 +61,7 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
 
 
 def enlarged(trees: Trees) -> Trees:
-    """The same trees with twice the room."""
+    """The same trees with twice the capacity."""
     nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
     parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
     return trees._replace(nodes=nodes, parent=parent, nearest=enlarged_index(trees.nearest, nodes.shape[1]))
@@ -73,25 +71,21 @@ def enlarged(trees: Trees) -> Trees:
 def extend(space, nodes, parent, size, which, origin, target, reach):
     """ConstrainedExtend: extend from node origin towards target (n,), adding every state to the tree.
 
-    reach: longest extension [rad].
-
-    Returns
-    -------
-    Index of the last node, and whether the target was reached.
+    reach: longest extension [rad]. Returns the index of the last node, and whether the target was reached.
     """
     start = distance(nodes[origin], target)
     if start < 1e-9:
         return origin, True
-    allowance = min(DEVIATION * start, reach)
+    longest = min(DEVIATION * start, reach)  # that is left of the extension
     node = origin
     while True:
         new = size[which]
-        outcome = step_towards(space, nodes[node], target, allowance, nodes[new])
+        outcome = step_towards(space, nodes[node], target, longest, nodes[new])
         if outcome == STOPPED:
             return node, False
         parent[new] = node
         size[which] = new + 1
-        allowance -= distance(nodes[node], nodes[new])
+        longest -= distance(nodes[node], nodes[new])
         node = new
         if outcome == REACHED:
             return node, True
@@ -112,17 +106,13 @@ def grow(
 
     extend_both: Algorithm 3 as printed, both trees extend to the sample and are then connected;
     otherwise the second tree extends from its nearest node to where the first one stopped (CBiRRT).
-    reach: longest extension towards a sample [rad].
-
-    Returns
-    -------
-    status: GROWING (samples used up), CONNECTED (trees.meeting holds the nodes), FULL (no room left).
-    next: index of the next unused sample.
+    reach: longest extension towards a sample [rad]. Returns GROWING (samples used up), CONNECTED (trees.meeting holds
+    the nodes) or FULL (capacity used up), and the index of the next unused sample.
     """
-    room = trees.nodes.shape[1] // 4
+    reserve = trees.nodes.shape[1] // 4
     nodes, parent, size = trees.nodes, trees.parent, trees.size
     for i in range(first, samples.shape[0]):
-        if max(size[0], size[1]) + room >= nodes.shape[1]:
+        if max(size[0], size[1]) + reserve >= nodes.shape[1]:
             return FULL, i
         space.counters[ITERATIONS] += 1
         a = trees.turn[0]
@@ -154,18 +144,14 @@ def grow(
 
 @entry
 def extract_path(
-    trees: Trees, out: Annotated[np.ndarray, "room n"], origin: Annotated[np.ndarray, "int64 room 2"]
+    trees: Trees, out: Annotated[np.ndarray, "longest n"], origin: Annotated[np.ndarray, "int64 longest 2"]
 ):
-    """Write the states from start root to goal root into out (k, n), and their (tree, node) into origin (k, 2).
+    """Write the states from start root to goal root into out (k, n), their (tree, node) into origin (k, 2); return k.
 
-    Returns
-    -------
-    Number of states, or -1 when out is too short.
+    out and origin have as many rows as both trees have nodes.
     """
     count, node = 0, trees.meeting[0]
     while node >= 0:
-        if count == out.shape[0]:
-            return -1
         origin[count, 0], origin[count, 1] = 0, node
         count += 1
         node = trees.parent[0, node]
@@ -175,8 +161,6 @@ def extract_path(
         origin[count - 1 - i, 1] = swap
     node = trees.parent[1, trees.meeting[1]]  # the meeting state itself stands in both trees
     while node >= 0:
-        if count == out.shape[0]:
-            return -1
         origin[count, 0], origin[count, 1] = 1, node
         count += 1
         node = trees.parent[1, node]
@@ -197,7 +181,7 @@ def remove_subtree(trees, which, root):
 
 
 @entry
-def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 room 2"], segment: int):
+def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 longest 2"], segment: int):
     """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
     later_in_start_tree = origin[segment + 1, 0] == 0
     if later_in_start_tree:
@@ -208,7 +192,7 @@ def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 r
         remove_subtree(trees, 1, trees.meeting[1])
 
 
-FIRST_CAPACITY = 4096  # nodes a tree has room for at first
+FIRST_CAPACITY = 4096  # nodes of a tree at first
 FIRST_BATCH, LARGEST_BATCH = 16, 256  # samples drawn at once
 CLOCK_BATCH = 16  # samples used before the clock is read, where a budget has seconds
 

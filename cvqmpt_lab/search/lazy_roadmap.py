@@ -11,8 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.search.motion import bisect_motion, distance
-from cvqmpt_lab.search.space_arrays import Space, project_state, state_valid
+from cvqmpt_lab.search.motion import Space, bisect_motion, distance, project_state, state_valid
 from cvqmpt_lab.vqmpt.clearances import EdgeArrays, edge_nll
 
 

@@ -1,14 +1,21 @@
-"""Motions on the constraint manifold: one projected step, and the fine check of a finished motion."""
+"""The planning space as kernels see it, and motions in it: one projected step, and the fine check of a motion.
 
-from typing import Annotated
+Collision is answered by the compiled checker or, when `exact` is set, by a callback into Python (coal).
+"""
+
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.constraints.regions import residual
-from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.search.space_arrays import STATE_CHECKS, Space, posed_state_valid, project_state, state_valid
+from cvqmpt_lab.collision.checker import FREE, first_contact
+from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
+from cvqmpt_lab.constraints.project import ProjectionScratch, project
+from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
+from cvqmpt_lab.jit import call_address, entry, kernel
+from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
+PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of Space.counters
+DOUBT = 0.2  # [rad] around a doubtful configuration
 STOPPED, ADVANCED, REACHED = range(3)
 DEVIATION = 2.0  # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
@@ -18,6 +25,126 @@ NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from b
 KINK = 1.25e-3  # [rad] between states checked near that angle, where F may rise to a point anywhere
 SLIVER = 5e-5  # [m] motions are not checked more finely than this
 CLOSE = 1e-9  # [rad] two states closer than this are one
+
+
+class Space(NamedTuple):
+    """Everything a planning kernel needs."""
+
+    kinematics: Kinematics  # of the robot
+    regions: Regions  # the constraint
+    robot: RobotGeometry  # convex pieces
+    scene: SceneGeometry  # obstacles
+    tolerance: float  # of |F| after projection [m, rad]
+    max_iterations: int  # newton steps per projection
+    step: float  # longest motion between neighbouring states [rad]
+    resolution: float  # spacing of the exact backend's final check of a motion [rad]
+    margin: float  # kept from obstacles [m]
+    exact: bool  # whether states are checked through the callback
+    check: int  # address of the callback; of an object numba takes 0.5 ms a call to find the type
+    query: Annotated[np.ndarray, "n"]  # through which the callback is asked
+    doubtful: Annotated[np.ndarray, "doubtful n"]
+    """Configurations that the compiled checker blocks but the meshes allow; near them the callback decides."""
+    swing: Annotated[np.ndarray, "n"]
+    """No point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]."""
+    counters: Annotated[np.ndarray, "int64 4"]  # PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS
+    state: Annotated[np.ndarray, "n"]  # work array
+    scratch: ProjectionScratch  # work arrays of projections
+
+
+@kernel(inline="source")
+def project_state(space, q):
+    """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
+    iterations = project(
+        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
+    )
+    if space.scratch.residual.shape[0] > 0:
+        space.counters[PROJECTIONS] += 1
+        space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
+    return iterations >= 0
+
+
+@kernel(inline="source")
+def _near_doubtful(space, q):
+    """Whether q (n,) lies within DOUBT of a doubtful configuration."""
+    for i in range(space.doubtful.shape[0]):
+        square = 0.0
+        for j in range(q.shape[0]):
+            square += (q[j] - space.doubtful[i, j]) * (q[j] - space.doubtful[i, j])
+        if square < DOUBT * DOUBT:
+            return True
+    return False
+
+
+@kernel(inline="source")
+def posed_state_valid(space, q, clearance):
+    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact: the margin)."""
+    space.counters[STATE_CHECKS] += 1
+    if not space.exact:
+        geometry, _ = first_contact(
+            space.scratch.link_rotation,
+            space.scratch.link_translation,
+            space.robot,
+            space.scene,
+            space.margin + clearance,
+        )
+        if geometry == FREE or clearance > 0.0 or not _near_doubtful(space, q):
+            return geometry == FREE
+    for j in range(q.shape[0]):
+        space.query[j] = q[j]
+    return call_address(space.check)
+
+
+@kernel(inline="source")
+def state_valid(space, q):
+    """Whether q (n,) is free of collision."""
+    forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
+    return posed_state_valid(space, q, 0.0)
+
+
+@entry
+def states_valid(
+    space: Space, configurations: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "bool count"]
+):
+    """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
+    for i in range(configurations.shape[0]):
+        out[i] = state_valid(space, configurations[i])
+
+
+@entry
+def project_one(space: Space, q: Annotated[np.ndarray, "n"]):
+    """Project q (n,) in place; True on success."""
+    return project_state(space, q)
+
+
+@entry
+def valid_one(space: Space, q: Annotated[np.ndarray, "n"]):
+    """Whether q (n,) is free of collision."""
+    return state_valid(space, q)
+
+
+@entry
+def constraint_one(
+    space: Space,
+    q: Annotated[np.ndarray, "n"],
+    full: bool,
+    out_residual: Annotated[np.ndarray, "m"],
+    out_jacobian: Annotated[np.ndarray, "m n"],
+):
+    """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
+    scratch = space.scratch
+    rotation, translation = scratch.link_rotation, scratch.link_translation
+    forward_kinematics(space.kinematics, q, rotation, translation)
+    residual(space.regions, rotation, translation, out_residual, scratch.displacement)
+    jacobian(
+        space.kinematics,
+        space.regions,
+        rotation,
+        translation,
+        scratch.displacement,
+        full,
+        out_residual,
+        out_jacobian,
+    )
 
 
 @kernel(inline="machine")
@@ -30,18 +157,12 @@ def distance(a, b):
 
 
 @kernel
-def step_towards(space, origin, target, allowance, out):
+def step_towards(space, origin, target, longest, out):
     """One step of ConstrainedExtend (paper, Algorithm 3): move, project, check.
 
-    Parameters
-    ----------
-    origin, target: (n,). allowance: how much longer the motion may still become [rad].
-    out: (n,), the new state when the result is not STOPPED.
-
-    Returns
-    -------
-    STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further than
-    DEVIATION * step, exceeds the allowance, does not come closer to the target, or collides.
+    origin, target: (n,). longest: of the step [rad]. out: (n,), the new state when the result is not STOPPED.
+    Returns STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further than
+    DEVIATION * step, is longer than `longest`, does not come closer to the target, or collides.
     """
     n = origin.shape[0]
     remaining = distance(origin, target)
@@ -52,7 +173,7 @@ def step_towards(space, origin, target, allowance, out):
         return STOPPED
     moved = distance(origin, out)
     left = distance(out, target)
-    if moved > DEVIATION * space.step or moved > allowance or left >= remaining or moved < CLOSE:
+    if moved > DEVIATION * space.step or moved > longest or left >= remaining or moved < CLOSE:
         return STOPPED
     if not posed_state_valid(space, out, 0.0):
         return STOPPED
@@ -65,18 +186,12 @@ def bisect_motion(
     origin: Annotated[np.ndarray, "n"],
     target: Annotated[np.ndarray, "n"],
     longest: float,
-    out: Annotated[np.ndarray, "room n"],
+    out: Annotated[np.ndarray, "capacity n"],
 ):
-    """Join origin and target on the manifold by projected midpoints, coarse to fine, so that failure is early.
+    """Join origin and target on the manifold by projected midpoints, coarse to fine: most failures cost few states.
 
-    Parameters
-    ----------
-    longest: give up when the motion becomes longer than this [rad].
-    out: (k, n) room for the states after origin, the last of which is target.
-
-    Returns
-    -------
-    Number of states written, or 0 when a state cannot be projected, collides, or lies too far from its neighbour.
+    longest: give up when the motion becomes longer than this [rad]. out: (k, n), the states after origin up to target.
+    Returns the number of states, or 0 when one cannot be projected, collides, or lies too far from its neighbour.
     """
     pieces = 1
     while distance(origin, target) > GAP * space.step * pieces:
@@ -202,18 +317,11 @@ def segment_valid(space, a, b):
 
 @entry
 def refine_and_check(
-    space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "room n"]
+    space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]
 ):
     """Copy a path into out (k, n), with projected states put in until every straight motion is short and good.
 
-    Parameters
-    ----------
-    states: the path.
-
-    Returns
-    -------
-    written: number of states in out. bad: first segment of the given path that cannot be refined or
-    is not free, or -1.
+    Returns the number of states in out, and the first segment of the path that cannot be refined or is not free, or -1.
     """
     count, n = states.shape
     for j in range(n):
@@ -252,14 +360,8 @@ def edge_verdicts(
 ):
     """Write whether each node, and each straight motion between the two nodes of an edge, is free of collision.
 
-    Parameters
-    ----------
-    edge_free: edges that come in as False are taken to be blocked already.
-    most_checks: give up after so many state checks.
-
-    Returns
-    -------
-    Whether all was checked.
+    edge_free: edges that come in as False count as blocked. most_checks: give up after so many state checks.
+    Returns whether all was checked.
     """
     checks = space.counters[STATE_CHECKS] + most_checks
     for i in range(nodes.shape[0]):

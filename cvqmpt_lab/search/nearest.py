@@ -15,11 +15,11 @@ from cvqmpt_lab.jit import kernel
 BLOCK = 1024  # nodes
 LEAF = 16  # nodes in a leaf; BLOCK is LEAF times a power of two
 DEEPEST = 64  # levels of a search
-CAUTION = 1.0 - 1e-12  # boxes are believed to be this much closer than computed
+ROUNDING = 1.0 - 1e-12  # squared distances to boxes are lowered by this factor against rounding
 
 
 class NearestIndex(NamedTuple):
-    """Balanced search trees over the nodes of two growing trees, and room for a search."""
+    """Balanced search trees over the nodes of two growing trees, and work arrays of a search."""
 
     order: Annotated[np.ndarray, "int32 2 capacity"]  # node numbers, sorted by leaves within each search tree
     box: Annotated[np.ndarray, "2 boxes 2 n"]
@@ -31,7 +31,7 @@ class NearestIndex(NamedTuple):
 
 
 def nearest_index(capacity: int, n: int) -> NearestIndex:
-    """An empty index with room for capacity nodes of n joints."""
+    """An empty index for `capacity` nodes of n joints."""
     capacity = BLOCK * -(-capacity // BLOCK)
     return NearestIndex(
         np.zeros((2, capacity), dtype=np.int32),
@@ -43,7 +43,7 @@ def nearest_index(capacity: int, n: int) -> NearestIndex:
 
 
 def enlarged_index(index: NearestIndex, capacity: int) -> NearestIndex:
-    """The same index with room for capacity nodes."""
+    """The same index for `capacity` nodes."""
     larger = nearest_index(capacity, index.box.shape[3])
     larger.order[:, : index.order.shape[1]] = index.order
     larger.box[:, : index.box.shape[1]] = index.box
@@ -128,7 +128,7 @@ def _square_of_box(box, i, target):
     for j in range(target.shape[0]):
         outside = max(max(box[i, 0, j] - target[j], target[j] - box[i, 1, j]), 0.0)
         square += outside * outside
-    return CAUTION * square
+    return ROUNDING * square
 
 
 @kernel

@@ -1,27 +1,223 @@
-"""The parts of a planner: what it observes, proposes and searches for, and with how much of a budget left."""
+"""What a planner is asked and answers: budget, query, where to sample, stages, path and what it took."""
 
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from enum import StrEnum
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from cvqmpt_lab.distributions import SamplingDistribution, Uniform
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus, Timings
-from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.search.space_arrays import ITERATIONS
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.search.space import ConstrainedSpace
 
 LEAST_SECONDS = 1e-3
+
+
+class PlanStatus(StrEnum):
+    """How a planning run ended. Everything but SOLVED is a failure with that reason."""
+
+    SOLVED = "solved"
+    TIMEOUT = "timeout"
+    ITERATION_LIMIT = "iteration_limit"
+    NO_GOAL = "no_goal"
+    INVALID_START = "invalid_start"
+    INVALID_GOAL = "invalid_goal"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to give up: after seconds, after iterations (bit-for-bit repeatable), or whichever is first."""
+
+    seconds: float | None = None
+    iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is None and self.iterations is None:
+            raise InvalidInputError("a budget needs seconds, iterations or both")
+        for name in ("seconds", "iterations"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InvalidInputError(f"budget {name} must be positive, not {value}")
+
+
+@dataclass(frozen=True)
+class Counters:
+    """Work done, in machine-independent units."""
+
+    projections: int = 0
+    newton_iterations: int = 0
+    state_checks: int = 0
+    iterations: int = 0
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Parts of a planning run that are not search [s]; None where a planner has no such part."""
+
+    encode: float | None = None  # from the point cloud to what the network keeps of it
+    predict: float | None = None  # from start and goals to configurations or distributions
+    optimize: float | None = None  # moving those towards the constraint
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not 0.0 <= value < np.inf:
+                raise InvalidInputError(f"timing {name!r} is {value}; give seconds, 0 or more, or None")
+
+    @property
+    def total(self) -> float:
+        """Their sum [s]."""
+        return sum(value for value in vars(self).values() if value is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """A motion: straight joint segments between states."""
+
+    states: np.ndarray  # (m, n), m >= 2 [rad or m]
+
+    @property
+    def length(self) -> float:
+        """Sum of Euclidean distances between neighbouring states [rad]."""
+        return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
+
+    def spaced(self, spacing: float) -> np.ndarray:
+        """States (k, n), k >= 2, evenly along the path and at most `spacing` [rad] of it apart, ends included."""
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))])
+        marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
+        return np.stack([np.interp(marks, along, joint) for joint in self.states.T], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """What a search has grown from one or several roots."""
+
+    nodes: np.ndarray  # (k, n) [rad or m]
+    parent: np.ndarray  # (k,) index of each node's parent, -1 for roots
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """Outcome of one planner run."""
+
+    status: PlanStatus
+    path: JointPath | None  # None unless the status is SOLVED
+    seconds: float  # wall time of the whole run, networks included
+    counters: Counters
+    vertices: int  # nodes in all trees
+    sampler: str  # name of the distribution used
+    trees: tuple[Tree, ...] = ()
+    detail: str = ""  # a few words more, e.g. about a failure
+    fallback: str = ""  # what found the path if not what the planner's name promises, and why, or ""
+    timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
+
+    @property
+    def search_seconds(self) -> float:
+        """Wall time without that of `timings`."""
+        return max(0.0, self.seconds - self.timings.total)
+
+
+class SamplingDistribution(Protocol):
+    """Anything that draws configurations."""
+
+    @property
+    def name(self) -> str:
+        """What result rows call it."""
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n) [rad or m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uniform:
+    """Uniform between the joint limits."""
+
+    lower: np.ndarray  # (n,) [rad or m]
+    upper: np.ndarray  # (n,) [rad or m]
+    name: str = "uniform"
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n)."""
+        return rng.uniform(self.lower, self.upper, (count, len(self.lower)))
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianMixture:
+    """Weighted Gaussians, optionally mixed with a uniform share (paper, eqn. sample_dist)."""
+
+    means: np.ndarray  # (k, n) [rad or m]
+    covariances: np.ndarray  # (k, n, n) [rad^2]
+    weights: np.ndarray  # (k,), summing to 1
+    uniform: Uniform | None = None  # distribution mixed in
+    uniform_share: float = 0.0  # its share in [0, 1]; at 0 a planner is not probabilistically complete
+    name: str = "gaussian-mixture"
+
+    @classmethod
+    def equal(
+        cls, means: np.ndarray, covariances: np.ndarray, uniform: Uniform, uniform_share: float, name: str
+    ) -> "GaussianMixture | Uniform":
+        """Equally likely Gaussians (k, n), (k, n, n) and a uniform share; uniform alone when k is 0.
+
+        A single covariance (n, n) serves all means.
+        """
+        k = len(means)
+        if k == 0:
+            return replace(uniform, name=f"{name}: uniform")
+        covariances = np.broadcast_to(covariances, (k, *np.shape(covariances)[-2:]))
+        return cls(means, covariances, np.full(k, 1.0 / k), uniform, uniform_share, name)
+
+    def __post_init__(self) -> None:
+        k, n = self.means.shape
+        if self.covariances.shape != (k, n, n) or self.weights.shape != (k,):
+            raise InvalidInputError(
+                f"mixture of {k} means in {n} joints: covariances {self.covariances.shape}, "
+                f"weights {self.weights.shape}"
+            )
+        if not np.isclose(self.weights.sum(), 1.0) or (self.weights < 0).any():
+            raise InvalidInputError(
+                f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}"
+            )
+        if not np.isfinite(self.means).all():
+            raise InvalidInputError("mixture means must be finite")
+        if not np.isfinite(self.covariances).all() or (np.linalg.eigvalsh(self.covariances) <= 0).any():
+            raise InvalidInputError("mixture covariances must be positive definite")
+        if not 0.0 <= self.uniform_share <= 1.0 or (self.uniform_share > 0 and self.uniform is None):
+            raise InvalidInputError(
+                f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution"
+            )
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw configurations (count, n); Gaussian draws may leave the limits, planners clip them."""
+        component = rng.choice(len(self.weights), count, p=self.weights)
+        noise = rng.standard_normal((count, self.means.shape[1]))
+        factors = np.linalg.cholesky(self.covariances)
+        draws = self.means[component] + np.einsum("kij,kj->ki", factors[component], noise)
+        if self.uniform is not None and self.uniform_share > 0:
+            elsewhere = rng.random(count) < self.uniform_share
+            draws[elsewhere] = self.uniform.sample(rng, int(elsewhere.sum()))
+        return draws
+
+
+def widened(covariances: np.ndarray, std: float) -> np.ndarray:
+    """Covariances (c, n, n) without a direction narrower than std."""
+    values, vectors = np.linalg.eigh(covariances)
+    narrow = values[:, 0] < std * std
+    if not narrow.any():
+        return covariances
+    values, vectors = np.maximum(values[narrow], std * std), vectors[narrow]
+    result = covariances.copy()
+    result[narrow] = (vectors * values[:, None, :]) @ vectors.swapaxes(1, 2)
+    return result
 
 
 class Deadline:
     """A budget in use since this object was made; iterations are read from the space's counters."""
 
-    def __init__(self, budget: Budget, space: ConstrainedSpace) -> None:
+    def __init__(self, budget: Budget, space: "ConstrainedSpace") -> None:
         self.budget, self._space = budget, space
         self._began = time.perf_counter()
         self._counters = space.counters
@@ -38,7 +234,7 @@ class Deadline:
 
     def count(self, iterations: int = 1) -> None:
         """Use iterations that no search counts."""
-        self._space.arrays.counters[ITERATIONS] += iterations
+        self._space.count_iterations(iterations)
 
     def spent(self) -> PlanStatus | None:
         """How the run ends if nothing is left; None while something is."""
@@ -63,14 +259,14 @@ class Deadline:
 class Query:
     """From where to where, in which space, within which budget and with which random numbers."""
 
-    space: ConstrainedSpace
+    space: "ConstrainedSpace"
     start: np.ndarray  # (n,) [rad or m]
     goals: np.ndarray  # (k, n) [rad or m]; any one will do
     deadline: Deadline  # shared by prediction and search; its clock runs since the query was made
     rng: np.random.Generator
 
     @classmethod
-    def of(cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator) -> "Query":
+    def of(cls, space: "ConstrainedSpace", budget: Budget, rng: np.random.Generator) -> "Query":
         """The question that a space's problem asks; the clock starts now."""
         return cls(space, space.problem.start, space.problem.goals, Deadline(budget, space), rng)
 
@@ -107,9 +303,6 @@ class Proposal:
     failure: PlanStatus | None = None  # why searching is pointless, or None
 
 
-Proposer = Callable[[Query, Observation], Proposal]
-
-
 def uniform(query: Query, observation: Observation) -> Proposal:
     """Sample anywhere between the joint limits."""
     return Proposal(query.uniform)
@@ -120,7 +313,7 @@ class Search(Protocol):
 
     def search(
         self,
-        space: ConstrainedSpace,
+        space: "ConstrainedSpace",
         start: np.ndarray,
         goals: np.ndarray,
         distribution: SamplingDistribution,
@@ -130,16 +323,15 @@ class Search(Protocol):
         """Search a path from start (n,) to any row of goals (k, n) [rad or m]."""
 
 
-Observe = Callable[[Scene], np.ndarray]  # gives the cloud (m, 3) [m, robot base frame] of a scene
-
-
 @dataclass(frozen=True, eq=False)
 class Stages:
     """What a planner does with one robot's problems, stage by stage."""
 
-    predict: Proposer = uniform
-    search: Search = field(default_factory=BiRRT)
-    observe: Observe | None = None  # None: it needs no cloud
+    predict: Callable[[Query, Observation], Proposal] = uniform
+    search: Search | None = None  # None: `BiRRT`
+    observe: Callable[[Scene], np.ndarray] | None = (
+        None  # the cloud (m, 3) [m, base frame]; None: it needs none
+    )
     update: Callable[[Query, Proposal], Proposal] | None = None  # towards the constraint (paper, Algorithm 2)
 
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.search.motion import bisect_motion, distance, segment_valid
-from cvqmpt_lab.search.result import Counters, JointPath
+from cvqmpt_lab.search.motion import Space, bisect_motion, distance, segment_valid
+from cvqmpt_lab.search.query import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.search.space_arrays import Space
 
 KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
 

@@ -1,5 +1,7 @@
 """A problem's planning space: limits, projection and state checks, counted, for every planner alike."""
 
+import ctypes
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -12,12 +14,47 @@ from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.jit import check_bundle
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search import space_arrays as kernels
-from cvqmpt_lab.search.motion import DEVIATION, bisect_motion, refine_and_check
-from cvqmpt_lab.search.result import Counters, JointPath
-from cvqmpt_lab.search.space_arrays import constraint_one, project_one, valid_one
+from cvqmpt_lab.search import motion as kernels
+from cvqmpt_lab.search.motion import (
+    DEVIATION,
+    bisect_motion,
+    constraint_one,
+    project_one,
+    refine_and_check,
+    valid_one,
+)
+from cvqmpt_lab.search.query import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
+
+
+class StateCheck:
+    """A Python function ``valid(q) -> bool`` that compiled code calls by address, on the shared array `query`.
+
+    An exception inside it cannot cross compiled code: it is kept, the state counts as invalid, and
+    `reraise` throws it once the kernel has returned. The object must outlive its use.
+    """
+
+    def __init__(self, valid: Callable[[np.ndarray], bool] | None, query: np.ndarray) -> None:
+        self.error: BaseException | None = None
+
+        def call() -> bool:
+            if valid is None or self.error is not None:
+                return False
+            try:
+                return bool(valid(query))
+            except BaseException as error:
+                self.error = error
+                return False
+
+        self._callback = ctypes.CFUNCTYPE(ctypes.c_bool)(call)
+        self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def reraise(self) -> None:
+        """Throw what the function threw, if it did."""
+        if self.error is not None:
+            error, self.error = self.error, None
+            raise error
 
 
 @dataclass(frozen=True)
@@ -84,6 +121,10 @@ class ConstrainedSpace:
         return Counters(
             *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
         )
+
+    def count_iterations(self, count: int) -> None:
+        """Count iterations that no kernel counts."""
+        self.arrays.counters[kernels.ITERATIONS] += count
 
     def reraise(self) -> None:
         """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C included)."""
@@ -177,11 +218,11 @@ def _arrays(
     )
 
 
-def _callback(checker: CollisionChecker | None, n: int) -> tuple[kernels.StateCheck, np.ndarray]:
+def _callback(checker: CollisionChecker | None, n: int) -> tuple[StateCheck, np.ndarray]:
     """A checker of n joints as compiled code calls it, and the array through which it is asked."""
     query = np.zeros(n)
     valid = None if checker is None else lambda q: not checker.in_collision(q)
-    return kernels.StateCheck(valid, query), query
+    return StateCheck(valid, query), query
 
 
 # The direct motion between two states: straight in joints, projected on the manifold, free of collision.

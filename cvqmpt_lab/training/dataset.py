@@ -26,7 +26,7 @@ from cvqmpt_lab.training.shards import (
     read_roadmap_shards,
     read_shard,
 )
-from cvqmpt_lab.vqmpt.inputs import SerialChain
+from cvqmpt_lab.vqmpt.config import SerialChain
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 VALIDATION_EVERY = 20  # scenes whose seed is divisible by it validate

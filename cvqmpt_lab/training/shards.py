@@ -3,7 +3,7 @@
 As ``cvqmpt data generate`` writes them; s scenes, m shapes, p paths, n joints, N nodes, E edges::
 
     dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families, kinematics (a
-                     vqmpt.inputs.SerialChain), provenance
+                     vqmpt.config.SerialChain), provenance
     shards.csv       shard, sha256, scenes, paths
     shards/NNNNNN.npz
         family (s,) uint8, scene_seed (s,) int64

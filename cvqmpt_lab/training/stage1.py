@@ -23,9 +23,8 @@ from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.dataset import PathDataset, unpacked, with_few_trivial
 from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
+from cvqmpt_lab.vqmpt.config import ModelConfig, SerialChain, require_sizes
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, DictionaryOutput, Quantized
-from cvqmpt_lab.vqmpt.inputs import SerialChain
 
 
 @dataclass(frozen=True, kw_only=True)

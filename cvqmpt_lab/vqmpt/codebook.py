@@ -6,7 +6,6 @@ times what it computes, and Algorithm 2 needs many; tests compare values and gra
 
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -14,24 +13,11 @@ from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.vqmpt.config import EPSILON
-from cvqmpt_lab.vqmpt.inputs import SerialChain
-from cvqmpt_lab.vqmpt.weights import VQ_MPT, RobotSignature, StoredModel, read_model, resolve_model
+from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain
+from cvqmpt_lab.vqmpt.weights import StoredModel, robot_signature
 
 CHAIN_TOLERANCE = 1e-4  # link frames that differ by less are those of training [m, entries of rotations]
 DICTIONARY = "dictionary"  # name of the part
-
-
-def robot_signature(robot: Robot) -> RobotSignature:
-    """What weights are compared with."""
-    limits = tuple(robot.lower.tolist()), tuple(robot.upper.tolist())
-    return RobotSignature(robot.name, *limits, tuple(robot.joint_names), robot.kinematics_digest)
-
-
-def load_vq_mpt(robot: Robot, model: str | Path | None = None) -> StoredModel:
-    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `read_model`."""
-    signature = robot_signature(robot)
-    return read_model(resolve_model(model, VQ_MPT, signature), signature, VQ_MPT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,15 +244,3 @@ def drawn_nodes(means: np.ndarray, covariances: np.ndarray, robot: Robot, noise:
     """
     draws = means + np.einsum("kij,kj->ki", np.linalg.cholesky(covariances), noise)
     return np.clip(draws, robot.lower, robot.upper)
-
-
-def widened(covariances: np.ndarray, std: float) -> np.ndarray:
-    """Covariances (c, n, n) without a direction narrower than std."""
-    values, vectors = np.linalg.eigh(covariances)
-    narrow = values[:, 0] < std * std
-    if not narrow.any():
-        return covariances
-    values, vectors = np.maximum(values[narrow], std * std), vectors[narrow]
-    result = covariances.copy()
-    result[narrow] = (vectors * values[:, None, :]) @ vectors.swapaxes(1, 2)
-    return result

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.query import GaussianMixture, Uniform, widened
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search
-from cvqmpt_lab.vqmpt.codebook import Codebook, widened
-from cvqmpt_lab.vqmpt.inputs import checked_cloud
+from cvqmpt_lab.vqmpt.codebook import Codebook
+from cvqmpt_lab.vqmpt.config import checked_cloud
 from cvqmpt_lab.vqmpt.weights import StoredModel
 
 GOAL_STD = 0.1  # of the Gaussian around each goal, as a share of each joint's range (published code)

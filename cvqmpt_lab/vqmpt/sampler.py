@@ -4,17 +4,163 @@ Costs of edges are length + w * -log P(free | cloud). Paper: sequences of codes 
 decoded Gaussians N(mu_k, Sigma_k) with equal weights are the sampling distribution (eqn. sample_dist).
 """
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.distributions import GaussianMixture
-from cvqmpt_lab.search.query import Observation, Proposal, Query
-from cvqmpt_lab.search.result import Timings
-from cvqmpt_lab.vqmpt.graph import CodeGraph, CodeRoadmap, cheapest_ways, nearest_rows
+from cvqmpt_lab.jit import entry
+from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
+from cvqmpt_lab.search.motion import distance
+from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query, Timings
+from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_features, sphere_cells
+from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
 
 QUEUE = 40  # entries of the queue a node
+
+
+class CodeGraph(NamedTuple):
+    """N nodes, and arcs along the edges between them both ways."""
+
+    nodes: Annotated[np.ndarray, "nodes n"]  # [rad or m]
+    factor: Annotated[np.ndarray, "nodes"]
+    """>= 1, how much longer motions at a node count; inf: a node not to use."""
+    first: Annotated[np.ndarray, "int32 inner"]  # where each node's arcs begin; one more entry than nodes
+    neighbour: Annotated[np.ndarray, "int32 arcs"]  # the node that an arc leads to
+    edge: Annotated[np.ndarray, "int32 arcs"]  # the edge that it belongs to
+    nll: Annotated[np.ndarray, "edges"]  # -log P(free) of each edge
+    weight: float  # what -log P(free) costs [rad]
+    heap: Annotated[np.ndarray, "queue"]  # costs in the queue
+    heap_node: Annotated[np.ndarray, "int32 queue"]  # their nodes
+
+
+@entry
+def cheapest_ways(
+    graph: CodeGraph, cost: Annotated[np.ndarray, "nodes"], parent: Annotated[np.ndarray, "int32 nodes"]
+):
+    """Lower the cost of each node to that of the cheapest way to it from any node that has a cost.
+
+    parent: the node before each on that way, -1 where the way begins.
+    """
+    heap, heap_node, size = graph.heap, graph.heap_node, 0
+    for i in range(cost.shape[0]):
+        parent[i] = -1
+        if cost[i] < np.inf:
+            push(heap, heap_node, size, cost[i], i)
+            size += 1
+    while size > 0:
+        known, here = heap[0], np.int64(heap_node[0])
+        drop_smallest(heap, heap_node, size)
+        size -= 1
+        if known > cost[here]:
+            continue
+        for arc in range(graph.first[here], graph.first[here + 1]):
+            there = np.int64(graph.neighbour[arc])
+            factor = 0.5 * (graph.factor[here] + graph.factor[there])
+            more = known + graph.weight * graph.nll[graph.edge[arc]]
+            more += factor * distance(graph.nodes[here], graph.nodes[there])
+            if more < cost[there] and size < heap.shape[0]:
+                cost[there], parent[there] = more, here
+                push(heap, heap_node, size, more, there)
+                size += 1
+
+
+class Links(NamedTuple):
+    """Undirected edges of a roadmap, and the arcs that lead along them both ways."""
+
+    edges: np.ndarray  # (E, 2) int32, the smaller node first
+    first: np.ndarray  # (N + 1,) int32, where each node's arcs begin
+    neighbour: np.ndarray  # (2 E,) int32
+    edge: np.ndarray  # (2 E,) int32
+
+
+def links_of(roadmap: Roadmap) -> Links:
+    """Every edge of a roadmap once."""
+    count, k = roadmap.neighbours.shape
+    pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
+    edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
+    arcs = np.concatenate([edges, edges[:, ::-1]])
+    order = np.lexsort((arcs[:, 1], arcs[:, 0]))
+    first = np.searchsorted(arcs[order, 0], np.arange(count + 1)).astype(np.int32)
+    return Links(edges, first, arcs[order, 1].copy(), (order % len(edges)).astype(np.int32))
+
+
+def _states_along(nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (s, n): the nodes, then those between the ends of each edge, SPACING apart; where each edge's begin."""
+    ends = nodes[edges]
+    pieces = np.maximum(np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / SPACING).astype(int), 1)
+    first = np.cumsum([len(nodes), *(pieces - 1)]).astype(np.int32)
+    between = np.repeat(np.arange(len(ends)), pieces - 1)
+    step = np.arange(len(between)) - (first[between] - len(nodes)) + 1
+    share = (step / pieces[between])[:, None]
+    inner = ends[between, 0] + share * (ends[between, 1] - ends[between, 0])
+    return np.concatenate([nodes, inner]), first
+
+
+class CodeRoadmap:
+    """The dictionary's roadmap for one robot and what it carries; remembers the edge costs of the latest clouds."""
+
+    def __init__(self, roadmap: Roadmap, model: EdgeModel, bare: "CodeRoadmap | None" = None) -> None:
+        """Place the model's spheres along all edges.
+
+        bare: the same roadmap for the same robot with an empty hand, whose spheres are placed already.
+        """
+        self.roadmap, self.model = roadmap, model
+        self._costs: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        if bare is None:
+            self.links = links_of(roadmap)
+            self._states, self._first = _states_along(roadmap.nodes, self.links.edges)
+            self._cells = self._placed(0)
+        else:
+            known = len(bare.model.empty.sphere)
+            assert bare.roadmap is roadmap
+            assert np.array_equal(bare.model.empty.sphere, model.empty.sphere[:known])
+            self.links, self._states, self._first = bare.links, bare._states, bare._first
+            self._cells = np.concatenate([bare._cells, self._placed(known)], axis=1)
+        ends = roadmap.nodes[self.links.edges]
+        self._length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+    def _placed(self, first: int) -> np.ndarray:
+        """Cells (s, spheres) that the spheres from `first` on lie in."""
+        empty = self.model.empty
+        arrays = empty._replace(sphere=empty.sphere[first:], row=empty.row[first:])
+        cells = np.empty((len(self._states), len(arrays.sphere)), dtype=np.int32)
+        sphere_cells(self.model.robot.kinematics, arrays, self._states, cells)
+        return cells
+
+    def features(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
+        """Inputs (E, n + 1) of the edge validity model for all edges."""
+        arrays, n = self.model.arrays(cloud, use_cache), self.model.robot.dof
+        clearance = np.empty((len(self._cells), n))
+        cell_clearances(arrays, arrays.distance.reshape(-1), self._cells, clearance)
+        features = np.empty((len(self._length), n + 1))
+        edge_features(clearance, self._first, self.links.edges, self._length, features)
+        return features
+
+    def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
+        """-log P(free) (E,) of all edges, in a cloud (m, 3) [m, robot base frame]."""
+        key = cloud.tobytes()
+        if not use_cache or key not in self._costs:
+            self._costs[key] = np.logaddexp(0.0, -self.model.network(self.features(cloud, use_cache)))
+            if len(self._costs) > CLOUDS:
+                self._costs.popitem(last=False)
+        self._costs.move_to_end(key)
+        return self._costs[key]
+
+    def link_costs(self, cloud: np.ndarray, ends: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """-log P(free) (e, k) of the motions between ends (e, n) and the nodes near (e, k) to each."""
+        pairs = np.broadcast_arrays(ends[:, None], self.roadmap.nodes[near])
+        motions = np.stack(pairs, axis=2).reshape(-1, 2, ends.shape[1])
+        return np.logaddexp(0.0, -self.model.log_odds(cloud, motions)[1]).reshape(near.shape)
+
+
+def nearest_rows(nodes: np.ndarray, ends: np.ndarray, count: int) -> np.ndarray:
+    """Rows (e, count) int32 of the nodes (N, n) nearest to each of ends (e, n), in no order."""
+    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
+    return np.argpartition(squares, count, axis=1)[:, :count].astype(np.int32)
 
 
 @dataclass(frozen=True)

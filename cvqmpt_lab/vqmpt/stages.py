@@ -4,29 +4,37 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 `weights.resolve_model` takes it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
 
-from cvqmpt_lab.distributions import GaussianMixture, SamplingDistribution
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.guides import UnconstrainedPath
-from cvqmpt_lab.search.query import Observation, Observe, Proposal, Query, Stages
-from cvqmpt_lab.search.result import JointPath, Timings
+from cvqmpt_lab.search.query import (
+    GaussianMixture,
+    JointPath,
+    Observation,
+    Proposal,
+    Query,
+    SamplingDistribution,
+    Stages,
+    Timings,
+    widened,
+)
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
-from cvqmpt_lab.vqmpt.codebook import Codebook, codes_of, dictionary_gaussians, drawn_nodes, widened
+from cvqmpt_lab.vqmpt.codebook import Codebook, codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, EdgeModel, SmallNetwork
-from cvqmpt_lab.vqmpt.graph import CodeRoadmap
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, Prediction, Predictor, PredictorSettings
-from cvqmpt_lab.vqmpt.sampler import CodeProposal, PredictedSequences
+from cvqmpt_lab.vqmpt.sampler import CodeProposal, CodeRoadmap, PredictedSequences
 from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, StoredModel, read_model, resolve_model
 
 EDGE_PART = "sight"  # the edge validity model among the parts of a model
@@ -96,7 +104,7 @@ def no_cloud(scene: Scene) -> np.ndarray:
     return np.empty((0, 3))
 
 
-CLOUDS: dict[str | None, Observe] = {"other scene": other_scene, "none": no_cloud}
+CLOUDS: dict[str | None, Callable[[Scene], np.ndarray]] = {"other scene": other_scene, "none": no_cloud}
 """What controls see in place of the scene."""
 
 

@@ -14,11 +14,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.attention import CrossAttentionLayer, SelfAttentionLayer
 from cvqmpt_lab.vqmpt.beam_search import StepDecoder
-from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, PointCloudConfig, TransformerConfig
-from cvqmpt_lab.vqmpt.dictionary import Dictionary, Quantizer
-from cvqmpt_lab.vqmpt.inputs import require_point_cloud
+from cvqmpt_lab.vqmpt.config import (
+    EPSILON,
+    ModelConfig,
+    PointCloudConfig,
+    TransformerConfig,
+    require_point_cloud,
+)
+from cvqmpt_lab.vqmpt.dictionary import CrossAttentionLayer, Dictionary, Quantizer, SelfAttentionLayer
 from cvqmpt_lab.vqmpt.point_encoder import PointCloudEncoder
 
 START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code

@@ -306,3 +306,15 @@ def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
     except OtherRobotError as error:
         return str(error)
     return ""
+
+
+def robot_signature(robot: Any) -> RobotSignature:
+    """What weights are compared with."""
+    limits = tuple(robot.lower.tolist()), tuple(robot.upper.tolist())
+    return RobotSignature(robot.name, *limits, tuple(robot.joint_names), robot.kinematics_digest)
+
+
+def load_vq_mpt(robot: Any, model: str | Path | None = None) -> StoredModel:
+    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `read_model`."""
+    signature = robot_signature(robot)
+    return read_model(resolve_model(model, VQ_MPT, signature), signature, VQ_MPT)

@@ -25,7 +25,7 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.query import Budget
 from cvqmpt_lab.sensing.calibration import Calibration, calibrate
 from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view
@@ -36,9 +36,9 @@ from cvqmpt_lab.sensing.plane import CAMERA_TILT, CAMERA_UP, supporting_plane
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, solids_of, views_of
-from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.stages import OTHER_SCENE, POINTS, dictionary_roadmap
+from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 from experiments.bench.measurement import CpuTimes, Measurement
 
 FIRST_SCENE = 3000  # numbers that no dataset and no suite uses

@@ -9,7 +9,6 @@ import numpy as np
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -17,8 +16,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search import birrt as kernels
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Observation, Query
-from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.query import Budget, Observation, PlanStatus, Query, Uniform
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer

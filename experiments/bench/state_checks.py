@@ -13,8 +13,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
+from cvqmpt_lab.search.motion import Space, states_valid
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.search.space_arrays import Space, states_valid
 from experiments.bench.measurement import Measurement
 
 STATES = 20_000  # per timed batch

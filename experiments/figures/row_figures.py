@@ -15,13 +15,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, natural_key, read_rows
 from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.query import Budget, Uniform
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.figures.drawing import Panel, panels_figure, save_figure, write_csv
 from experiments.suites.suite import suite_named

@@ -12,7 +12,7 @@ from cli.main import main
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
-from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.query import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
 from experiments.run import Experiment, executor_for, run_experiment

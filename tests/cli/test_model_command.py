@@ -12,9 +12,8 @@ from small_models import random_checkpoint
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.codebook import load_vq_mpt, robot_signature
 from cvqmpt_lab.vqmpt.predictor import Predictor
-from cvqmpt_lab.vqmpt.weights import WEIGHTS, OtherRobotError, resolve_model
+from cvqmpt_lab.vqmpt.weights import WEIGHTS, OtherRobotError, load_vq_mpt, resolve_model, robot_signature
 
 
 def info(capsys, *words):

@@ -8,11 +8,11 @@ from made_rows import a_row
 
 from cli.main import main
 from cvqmpt_lab import planners as table
-from cvqmpt_lab.distributions import GaussianMixture
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.query import GaussianMixture
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, measure
 from paper_tables.committed import committed_directories, differing_cells, untraceable

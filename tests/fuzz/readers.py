@@ -36,7 +36,7 @@ from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.query import Budget
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.tasks.task import Task
@@ -45,11 +45,10 @@ from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from cvqmpt_lab.trajectory.trajectory_files import read_motion
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
-from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.import_published import read_tensors
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.weights import read_model
+from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
 from paper_tables.suite_tables import render_directory
 
 DATA = Path(__file__).resolve().parents[1] / "data"

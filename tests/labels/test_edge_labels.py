@@ -15,10 +15,9 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.training.shards import RoadmapGraph
-from cvqmpt_lab.vqmpt.codebook import load_vq_mpt
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.stages import roadmap_path
-from cvqmpt_lab.vqmpt.weights import VQ_MPT, read_model, write_model
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, load_vq_mpt, read_model, write_model
 from experiments.bench.perception import area
 from experiments.suites.place_task import place_problem
 

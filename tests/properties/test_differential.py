@@ -13,14 +13,15 @@ from cvqmpt_lab.constraints.report import bound_usage
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.query import Budget, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.vqmpt.checkpoint import as_modules
-from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, load_vq_mpt, waypoint_codes
+from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, waypoint_codes
 from cvqmpt_lab.vqmpt.edge_model import SmallNetwork
 from cvqmpt_lab.vqmpt.stages import EDGE_PART
+from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 ENOUGH = Budget(iterations=20_000)

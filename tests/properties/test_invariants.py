@@ -19,16 +19,16 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegion,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.query import Budget, GaussianMixture, Uniform
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.codebook import CodeDecoder, load_vq_mpt
+from cvqmpt_lab.vqmpt.codebook import CodeDecoder
+from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 
 FEW = Budget(iterations=60)
 STEP = 1e-6  # [rad or m] of finite differences

@@ -10,9 +10,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
-from cvqmpt_lab.search.motion import motion_free
+from cvqmpt_lab.search.motion import motion_free, states_valid
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.search.space_arrays import states_valid
 from experiments.bench.state_checks import near_contact
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])

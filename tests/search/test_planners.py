@@ -15,7 +15,6 @@ from process_memory import in_use
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
-from cvqmpt_lab.distributions import GaussianMixture, Uniform
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import PLANNERS, Method, planner_named
@@ -23,10 +22,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
-from cvqmpt_lab.search.query import Proposal
-from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
-from cvqmpt_lab.search.space_arrays import StateCheck
+from cvqmpt_lab.search.query import Budget, GaussianMixture, PlanStatus, Proposal, Uniform
+from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings, StateCheck
 
 LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
 OURS = ("birrt", "guided-birrt")

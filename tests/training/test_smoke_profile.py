@@ -8,8 +8,8 @@ import pytest
 from cli.main import main
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
-from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.vqmpt.weights import robot_signature
 
 ROBOTS = ["--family kitchen-like", "--robot tiago-no-hand --base 0,0,-0.6 --family shelves"]
 

@@ -9,15 +9,13 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.query import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
-from cvqmpt_lab.vqmpt.codebook import robot_signature
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.mpnet_numpy import MPNetNetwork
-from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts, MPNetSettings
-from cvqmpt_lab.vqmpt.weights import RobotSignature
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, MPNetSettings
+from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)

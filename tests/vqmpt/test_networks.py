@@ -11,7 +11,6 @@ from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.training.stage1 import stage1_loss
 from cvqmpt_lab.training.stage2 import sequence_loss
-from cvqmpt_lab.vqmpt.attention import FeedForward, MultiHeadAttention, sinusoid_table
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.config import (
     DictionaryConfig,
@@ -21,7 +20,15 @@ from cvqmpt_lab.vqmpt.config import (
     SetAbstractionConfig,
     TransformerConfig,
 )
-from cvqmpt_lab.vqmpt.dictionary import Dictionary, GaussianDecoder, Quantizer, TrajectoryEncoder
+from cvqmpt_lab.vqmpt.dictionary import (
+    Dictionary,
+    FeedForward,
+    GaussianDecoder,
+    MultiHeadAttention,
+    Quantizer,
+    TrajectoryEncoder,
+    sinusoid_table,
+)
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 
 SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)

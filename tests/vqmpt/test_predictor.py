@@ -7,8 +7,8 @@ import pytest
 import torch
 from small_models import random_checkpoint
 
-from cvqmpt_lab.distributions import Uniform
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.search.query import Uniform
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, GOAL_STD, Predictor, PredictorSettings
