@@ -22,15 +22,13 @@ BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])  # [m] added to smaller 
 
 
 class Observer:
-    """Gives the cloud of a scene, always the same one.
+    """Gives the cloud of a scene, always the same one; by default like training's clouds.
 
-    Virtual cameras look at a scene made of shapes. Of a scene that holds clouds or occupancy maps these are used,
-    with what the cameras see of its other shapes. Casting rays takes half a second, a camera's cloud nothing: planners
-    look before their clock starts, scenes seen lately are remembered, and rendered clouds kept in the user's cache.
+    Shapes are seen by virtual cameras, clouds and occupancy maps are used as they are. Rendering takes half a second,
+    so the last `scenes` clouds are remembered and rendered ones kept in the user's cache.
     """
 
     def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
-        """Look with settings (like training's clouds by default); keep `scenes` clouds."""
         if scenes < 1:
             raise InvalidInputError(f"scenes kept by an observer: {scenes}; give at least 1")
         self.settings = CameraSettings.like_training() if settings is None else settings
@@ -67,16 +65,14 @@ class Observer:
             rest = scene.without(*(item.name for item in clouds))
             seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
             return self.of_points(np.concatenate([_world_points(clouds), seen]))
-        cloud = cached_arrays("clouds", self._made_of(scene), lambda: {"cloud": self._rendered(scene)})[
-            "cloud"
-        ]
+        rng = np.random.default_rng(self.seed)
+        made_of = self._made_of(scene)
+        arrays = cached_arrays("clouds", made_of, lambda: {"cloud": camera_cloud(scene, self.settings, rng)})
+        cloud = arrays["cloud"]
         if len(cloud) < FEWEST:
             cloud = np.concatenate([cloud, BELOW])
         cloud.setflags(write=False)
         return cloud
-
-    def _rendered(self, scene: Scene) -> np.ndarray:
-        return camera_cloud(scene, self.settings, np.random.default_rng(self.seed))
 
     def _made_of(self, scene: Scene) -> bytes:
         cameras = [(each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras]

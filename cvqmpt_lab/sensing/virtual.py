@@ -45,11 +45,9 @@ class CameraSettings:
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
-        """Clouds as like those of training as cameras can make them: what a trained model should be given.
+        """Clouds like those of training, which cover obstacles evenly: cameras all around, and no floor.
 
-        Training clouds cover surfaces evenly, on all sides of obstacles. So these cameras stand all around, see
-        the whole ball of the crop, and no floor. What none of them sees (inside closed cabinets) stays unseen;
-        training clouds show it.
+        Unlike training clouds they do not show what no camera sees, such as the inside of closed cabinets.
         """
         lens, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
         cameras = cameras_on_sphere(lens, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre)

@@ -1,10 +1,8 @@
 """The Gaussians of the codes that `cvq-mpt` predicts for one problem, before and after the paper's Algorithm 2.
 
-They are as the decoder gives them: planners widen them before they sample. The draws come from the same standard normal
-numbers before and after, so that what differs is the update and not the random seed.
-
-The paper's figure shows two dictionary values predicted for the place task, one far from the constraint and one near
-it: histograms of F^T F, and how tight the bound of its equation `markov` is, P(F^T F >= k) <= G / k, G the mean.
+They are not widened as planners widen them; draws use the same standard normal numbers before and after. The paper's
+figure shows two codes predicted for the place task, one far from the constraint and one near it: histograms of F^T F,
+and Markov's bound P(F^T F >= k) <= G / k with the mean G.
 """
 
 from collections.abc import Mapping, Sequence

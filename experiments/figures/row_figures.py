@@ -1,9 +1,4 @@
-"""Figures of the rows of a folder, drawn beside them.
-
-Cost: what methods are worth when a state check costs what ours does, what the paper's does, or something between.
-Difficulty: methods against uniform samples on ever harder problems, hard by other seeds than compared.
-Robustness: success, truth and length on scanned scenes when one thing is varied.
-"""
+"""Figures of the rows of a folder: against the cost of a state check, against difficulty, and of robustness."""
 
 import math
 from collections.abc import Mapping, Sequence

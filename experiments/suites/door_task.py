@@ -1,9 +1,7 @@
 """Opening the shelf's door: the hand holds the handle's bar, and the door goes where the hand takes it.
 
-As in the published experiment code, the hand frame stands 0.10 m in front of the bar, approaching the
-closed door along +x with its own x axis down, and the door goes from closed to -0.45 pi. That code
-replays a stored motion; here it is planned: the door is the robot's eighth joint, the constraint is a
-region of the hand about the bar.
+As published, the hand frame stands 0.10 m in front of the bar, its x axis down, and the door goes from closed to
+-0.45 pi. Here the motion is planned: the door is the robot's eighth joint, the constraint a region about the bar.
 """
 
 from functools import lru_cache

@@ -1,7 +1,4 @@
-"""Held-out scenes of the training families: move between two random upright hand poses, upright all the way.
-
-Scene numbers below FIRST_SCENE of `cvqmpt_lab.labels.generation` occur in no dataset.
-"""
+"""Between two random upright hand poses, upright all the way, in held-out scenes of the training families."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,11 +1,8 @@
 """The multi-sequence task: open the shelf's door, take a can out, stand it upright on the counter.
 
-As in the published experiment code, task k starts anywhere free of collision (seed 100 + k), the door is
-opened to -0.45 pi, the can is carried from the shelf to within a decimetre of (0.25, -0.45), and a
-cracker box and a mustard bottle stand on the counter. What differs: opening the door is planned, not
-replayed; the final pose of the can is drawn anew for every task, where a side effect of the published
-code makes it the same in all ten; the can stands in the way until it is grasped, so that the hand
-comes to it in a straight line.
+As published, task k starts free of collision (seed 100 + k), the door is opened to -0.45 pi, the can is carried to
+within a decimetre of (0.25, -0.45), and two obstacles stand on the counter. Unlike published, opening the door is
+planned, not replayed; the can's final pose is drawn for every task; the can is an obstacle until it is grasped.
 """
 
 from functools import lru_cache
@@ -49,12 +46,6 @@ def world() -> Scene:
     )
 
 
-def pregrasp_region(com: np.ndarray) -> TaskSpaceRegion:
-    """Hand poses `APPROACH` in front of those of `place_task.grasp_region`."""
-    grasp = grasp_region(com)
-    return TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -APPROACH)), grasp.Bw)
-
-
 def multi_sequence_task(number: int) -> Task:
     """Task 0 to 9; other numbers give tasks of the same distribution."""
     if number < 0:
@@ -67,6 +58,8 @@ def multi_sequence_task(number: int) -> Task:
         start = robot.random_configurations(rng, 1)[0]
     target = np.array(TARGET)
     target[:2] += TARGET_SIDE * rng.uniform(size=2)
+    grasp = grasp_region(np.add(SHELF_LINK, CAN.com))
+    pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -APPROACH)), grasp.Bw)
     open_fingers, grip = {"finger_opening": FINGER_OPENING}, {"finger_opening": GRIP}
     return Task(
         name=str(number),
@@ -78,7 +71,7 @@ def multi_sequence_task(number: int) -> Task:
             Hold("hold-handle", DOOR, grip, tuple((pad, handle_region().base) for pad in PADS)),
             Turn("open-door", OPEN, handle_region(), handle_region(turn=TURN)),
             Release("let-go", open_fingers),
-            Move(REACH_CAN, pregrasp_region(np.add(SHELF_LINK, CAN.com))),
+            Move(REACH_CAN, pregrasp),
             Slide("approach", APPROACH),
             Grasp("grasp-can", CAN_NAME, {"finger_opening": CAN_GRIP}, carried_can()),
             Move(CARRY, grasp_region(target), (upright(),)),

@@ -1,9 +1,8 @@
 """The place task: carry a can from the kitchen counter to the shelf without tilting it.
 
-As in the published experiment code, environment seed e in 0..149 puts the can's link frame at
-x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z = 0.171 with (u1, u2) the first two uniforms of numpy's legacy
-generator seeded by e. The start is a collision-free grasp of that can, the goals are up to 20 grasps
-of a can on the shelf, yaw within +-90 degrees about the can; the hand must stay upright on the way.
+As published, environment e in 0..149 puts the can at x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z = 0.171, u1 and u2 the
+first uniforms of numpy's legacy generator seeded by e. The start is a collision-free grasp of that can, the goals are
+up to 20 grasps of a can on the shelf, yaw within +-90 degrees; the hand stays upright on the way.
 """
 
 from dataclasses import dataclass

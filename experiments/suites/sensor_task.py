@@ -1,12 +1,8 @@
 """Planning in the map that depth images give of a scene, and judging paths in the map and in the scene.
 
-Ten true scenes are scanned: five kitchens, the shelf open, with things on the counter, and five cluttered tables.
-As on the paper's robot, start and goal are random configurations with an upright hand; here they are `ROOM` away from
-everything, so that noise and padding do not lie on them, and the straight motion between them is blocked.
-
-The arm stands at the start while cameras look at it. Everything goes through files, as in a lab: images with the errors
-of depth cameras, intrinsics, extrinsics; the robot's own points and outliers are removed, the rest becomes an occupancy
-map. Planners know nothing else. A second suite measures the same scenes in other ways, one setting varied at a time.
+Five kitchens and five cluttered tables; start and goal are random upright configurations `ROOM` from everything, the
+straight motion between them blocked. Noisy depth images with the arm at the start become, through files, filters and
+the removal of the robot's points, an occupancy map, all that planners know. A second suite varies one setting each.
 """
 
 import tempfile
