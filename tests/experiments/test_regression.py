@@ -91,10 +91,7 @@ def test_runs_without_expectation_and_expectations_without_run_are_named():
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        *(None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999),
-    ],
+    "text", [*(None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999)]
 )
 def test_unreadable_expectations_name_the_cure(tmp_path, text):
     path = tmp_path / "e.json"

@@ -9,13 +9,7 @@ from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import (
-    Box,
-    ConvexMesh,
-    Cylinder,
-    PointCloud,
-    Sphere,
-)
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 
 TETRAHEDRON = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
 HINGE = pose((1.0, 0.0, 0.0), 0.3)

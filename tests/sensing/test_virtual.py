@@ -15,12 +15,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import KINECT, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop
-from cvqmpt_lab.sensing.virtual import (
-    CameraSettings,
-    arm_objects,
-    camera_cloud,
-    visible_points,
-)
+from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, visible_points
 
 
 def test_the_published_kitchen_cloud(open_kitchen):

@@ -16,13 +16,7 @@ from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
-from cvqmpt_lab.training.batches import (
-    BaseTurn,
-    SceneBatches,
-    SceneBatchSettings,
-    grouped_by_scene,
-    turned,
-)
+from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, grouped_by_scene, turned
 from cvqmpt_lab.training.dataset import Shapes, open_dataset
 from cvqmpt_lab.training.stage1 import LinkPositions
 from cvqmpt_lab.training.stage2 import code_sequences

@@ -7,12 +7,7 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import point_encoder
 from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
-from cvqmpt_lab.vqmpt.point_encoder import (
-    SetAbstraction,
-    TokenLevel,
-    ball_query,
-    farthest_point_sampling,
-)
+from cvqmpt_lab.vqmpt.point_encoder import SetAbstraction, TokenLevel, ball_query, farthest_point_sampling
 
 
 @pytest.fixture

@@ -13,13 +13,7 @@ from cvqmpt_lab.search.query import Budget
 from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
 from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor_task import (
-    ROOM,
-    SensedProblem,
-    Sensing,
-    scanned_scene,
-    sensor_problem,
-)
+from experiments.suites.sensor_task import ROOM, SensedProblem, Sensing, scanned_scene, sensor_problem
 from experiments.suites.suite import suite_named
 
 ENOUGH = Budget(iterations=20_000)
