@@ -174,16 +174,14 @@ def _in_map(
     return replace(truth, scene=Scene("map", (SceneObject("map", mapped, np.eye(4)),)))
 
 
-LEVELS: Mapping[str, Sequence[Any]] = {
+LEVELS: Mapping[str, Sequence[Any]] = {  # values tried of each field of `Sensing`, beside its default
     "noise": (0.0, 2.0, 4.0),
     "cameras": (1, 4),
     "pixels": (40_000, 10_000, 2_500),
     "resolution": (0.01, 0.04),
     "padding": (0.0, 0.01, 0.03, 0.04),
 }
-"""What else is tried of each field of `Sensing`, beside its default."""
-VARIED_PLANNERS = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
-"""Uniform samples, then learned ones."""
+VARIED_PLANNERS = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")  # uniform samples, then learned ones
 
 
 def variants() -> tuple[Sensing, ...]:
