@@ -9,7 +9,7 @@ from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere, shape_vertices
 
 TETRAHEDRON = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
 HINGE = pose((1.0, 0.0, 0.0), 0.3)
@@ -51,6 +51,7 @@ def not_rigid(T):
         (lambda: PointCloud(np.zeros((0, 3)), 0.1), r"PointCloud\.points is empty"),
         (lambda: PointCloud(np.zeros((4, 2)), 0.1), r"\(4, 2\)"),
         (lambda: PointCloud(np.zeros((4, 3)), 0.0), r"PointCloud\.radius"),
+        (lambda: shape_vertices(Sphere(1.0)), "Sphere"),  # type: ignore[arg-type]
         *((not_rigid(T), "'cup': T_world_object") for T in (np.eye(3), 2.0 * np.eye(4), "upright", MIRROR)),
     ],
 )

@@ -15,6 +15,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import KINECT, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop
+from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, visible_points
 
 
@@ -52,6 +53,7 @@ CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),
     [
         (lambda: CameraSettings(voxel=0.0), "voxel of 0.0 m"),
         (lambda: CameraSettings(points=0), "cloud of 0 points"),
+        (lambda: Observer(scenes=0), "at least 1"),
         (lambda: CameraSettings(noise=-0.1), "noise of -0.1 m"),
         (lambda: camera_cloud(CLOUD, CameraSettings(), np.random.default_rng(0)), "'scan', a PointCloud"),
     ],
