@@ -33,9 +33,8 @@ FAR, NEAR = "far", "near"
 RANKS: Mapping[str, float] = {FAR: 0.9, NEAR: 0.1}  # of the two codes among all predicted, in [0, 1]
 BINS = 40
 SHOWN = 0.99  # share of the draws that the even bins cover; what lies beyond is one last wide bin
-THRESHOLDS = tuple(
-    float(f"{k:.3g}") for k in np.geomspace(1e-3, 10.0, 25)
-)  # of the tail [units of F, squared]
+# of F^T F, at which the tail is measured and bounded
+THRESHOLDS = tuple(float(f"{k:.3g}") for k in np.geomspace(1e-3, 10.0, 25))
 HISTOGRAM_FILE, VALUES_FILE, MARKOV_FILE = "histogram.csv", "values.csv", "markov.csv"
 COLOURS = {"before": "#8c96a3", "after": "#1f6fb4"}
 
