@@ -1,7 +1,5 @@
 """`cvqmpt scan` and `cvqmpt plan --cloud`: a file becomes a clean cloud, a scene, a certified path, or one line."""
 
-import json
-
 import numpy as np
 import pytest
 from command_line import refused
@@ -61,13 +59,6 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(folder, camera, tmp_pat
     assert set(scene.names) == {"scan", "table"} and scene["scan"].shape.resolution == 0.02
     off, _ = cKDTree(scene["scan"].shape.centres).query(points, p=np.inf)
     assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
-
-
-def test_a_scan_without_a_pose_is_levelled(folder, capsys):
-    assert run("scan", folder / "cloud.ply", "--level", "table") == 0
-    said = {line.split()[0]: line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()}
-    assert "deg down from 1.20 m above it" in said["levelled"]
-    assert json.loads(said["extrinsics"])["xyz"][2] == pytest.approx(1.2, abs=0.005)
 
 
 @pytest.mark.parametrize("file", ["depth.png", "cloud.ply"])

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import pytest
 from made_rows import a_failure, a_row
-from ompl.base import PlannerStatus
 
 from cli.main import main
 from cvqmpt_lab.results.store import RunStore
-from paper_tables.ompl_log import STATUS_OF, STATUSES
 
 SCRIPT = Path(sys.executable).parent / "ompl_benchmark_statistics"
 ROWS = (
@@ -48,12 +46,3 @@ def test_every_row_is_a_run_of_its_planner(database):
         ("mpnet", "p2", 0, 0, 0, "uncertified_collision", None, None, None, None, None, None, None, None),
         ("mpnet", "place_0", 0, 0, 4, "timeout", 10.0, None, None, None, None, None, None, None),
     ]
-
-
-def test_statuses_are_those_of_ompl():
-    kinds = ("UNKNOWN", "INVALID_START", "INVALID_GOAL", "TIMEOUT", "EXACT_SOLUTION", "CRASH")
-    theirs = {PlannerStatus(getattr(PlannerStatus, kind)).asString(): kind for kind in kinds}
-    assert set(STATUS_OF.values()) <= set(theirs)
-    assert [getattr(PlannerStatus, kind).value for kind in theirs.values()] == list(
-        map(STATUSES.index, theirs)
-    )

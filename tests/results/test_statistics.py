@@ -66,16 +66,6 @@ def test_mean_of_solved_leaves_failures_out():
     assert mean_of_solved([INF]) == UNDEFINED
 
 
-def test_geometric_mean_is_exact_for_a_constant_ratio_and_antisymmetric():
-    b = np.random.default_rng(2).lognormal(size=20)
-    constant = geometric_mean_interval(0.5 * b / b)
-    assert (constant.estimate, constant.low, constant.high) == pytest.approx((0.5, 0.5, 0.5))
-    a = b * np.random.default_rng(3).lognormal(size=20)
-    ratio, inverse = geometric_mean_interval(a / b), geometric_mean_interval(b / a)
-    assert ratio.estimate == pytest.approx(math.exp(np.mean(np.log(a) - np.log(b))))
-    assert (ratio.low, ratio.high) == pytest.approx((1 / bounds(inverse)[1], 1 / bounds(inverse)[0]))
-
-
 def row(problem, solved, seed=0):
     return (a_row if solved else a_failure)(problem, seed=seed)
 

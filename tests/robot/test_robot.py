@@ -19,15 +19,6 @@ def random_configurations(robot, count, seed=0):
     return robot.random_configurations(np.random.default_rng(seed), count)
 
 
-def test_panda_hand_pose_at_zero_is_the_data_sheet_s(panda):
-    """Link lengths 0.333 + 0.316 + 0.384 - 0.107 up, 0.088 forward; the flange turns the hand by -45 degrees."""
-    expected = np.diag([1.0, -1.0, -1.0, 1.0])
-    cosine = np.sqrt(0.5)
-    expected[:2, :2] = [[cosine, cosine], [cosine, -cosine]]
-    expected[:3, 3] = (0.088, 0.0, 0.926)
-    np.testing.assert_allclose(panda.pose(np.zeros(7)), expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("name", ["panda", "slider_arm"])
 def test_kernel_poses_equal_pinocchio_s(name, request):
     """End effector and every collision piece, on random configurations."""

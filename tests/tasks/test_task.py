@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -51,16 +50,6 @@ def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
     with pytest.raises(CvqmptError, match=message) as error:
         Task.load(file)
     assert str(file) in str(error.value)
-
-
-def test_task_files_of_before_still_load(tmp_path):
-    path = Path(__file__).parents[1] / "data" / "task-1.json"
-    old, task = json.loads(path.read_text()), Task.load(path)
-    assert [phase["name"] for phase in old["phases"]] == [phase.name for phase in task.phases]
-    assert task.start.tolist() == old["start"]
-    assert task.phases[0].goal.Bw.tolist() == old["phases"][0]["goal"]["Bw"]
-    task.save(tmp_path / "now.json")
-    assert Task.load(tmp_path / "now.json") == task
 
 
 @pytest.mark.parametrize(
