@@ -43,7 +43,7 @@ class Solution:
     simplified: Simplified | None = None  # none without a path
     certificate: Certificate | None = None  # of the shortened path; None without one
     goal_seconds: float = 0.0  # what drawing goals took [s]
-    observe_seconds: float = 0.0  # what looking at the scene took [s]; charged to nobody
+    observe_seconds: float = 0.0  # of rendering or reading the cloud [s]; charged to nobody
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
 
     @property
@@ -69,14 +69,8 @@ def solve(
 
     optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
     use_cache: False charges the planner for whatever it computes from the cloud, although it may remember the scene.
-
-    Raises
-    ------
-    InvalidProblemError
-        When the start or a goal collides or violates the constraint.
-    InvalidInputError
-        When the method cannot serve the problem: weights of another robot, no constraint; or when `optimize` has
-        seconds and the budget has none.
+    Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a
+    method that cannot serve the problem (weights of another robot, no constraint).
     """
     if optimize is not None:
         check_units(budget, optimize)

@@ -41,13 +41,7 @@ class Method:
         return replace(self, model=model)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
-        """The same, given measured points (p, 3) [m, robot base frame] instead of observing the scene.
-
-        Raises
-        ------
-        InvalidInputError
-            Also when its stages are asked for, if it observes nothing.
-        """
+        """The same on measured points (p, 3) [m, base frame]; its stages refuse to be made if it takes no cloud."""
 
         def build(robot: Robot, model: str) -> Stages:
             stages = self.build(robot, model)
@@ -156,15 +150,7 @@ WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items(
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
-    """The planner or control of that name, on the weights of a name or folder, or the shipped ones.
-
-    Raises
-    ------
-    UnknownChoiceError
-        Listing the names.
-    InvalidInputError
-        When the planner was removed, or a model is given to one without weights.
-    """
+    """The planner or control of that name; model: name or folder of its weights, None for the shipped ones."""
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
     if name in REMOVED:
         raise InvalidInputError(f"planner {name} was removed; use {REMOVED[name]}")

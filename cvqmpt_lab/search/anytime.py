@@ -60,11 +60,7 @@ def improve(
     """The best path that restarts and shortening find within a budget, never longer than the first; and what it took.
 
     Every other search looks for short ways near straight lines to the goals, which coarse samples miss.
-
-    Parameters
-    ----------
-    distribution: what the first search drew from.
-    first: on the manifold, free and shortened.
+    distribution: of the first search. first: its path, on the manifold, free and shortened.
     """
     deadline = Deadline(budget, space)
     best, lengths, searches, fresh = first, [(0.0, first.length)], 0, True

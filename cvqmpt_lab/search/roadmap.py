@@ -51,9 +51,7 @@ class RoadmapSettings:
     """How a roadmap is searched; defaults were chosen on the tuning environments."""
 
     links: int = 40  # nodes that the start and each goal are linked to
-    penalty: float = (
-        0.5  # edges at a node cost 1 + penalty * |F| times their length: paths prefer the manifold
-    )
+    penalty: float = 0.5  # edges at a node cost 1 + penalty * |F| times their length
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
     searches: int = 100  # at most; each ends at a path, or at the first edge that turns out blocked
     step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
@@ -188,9 +186,7 @@ class RoadmapPath:
     drawn: int = 128  # nodes added at once
     spread: float = 1.0  # [rad] largest standard deviation of those from an end
     edge_model: Callable[[Query, Observation], EdgeArrays] | None = None  # None: all edges cost their length
-    oracle: bool = (
-        False  # blocked nodes and edges are known beforehand, at no cost: the bound of all roadmaps
-    )
+    oracle: bool = False  # blocked nodes and edges are known at no cost: the bound of all roadmaps
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Search the roadmap with the query's constraint."""

@@ -64,10 +64,9 @@ class SpaceSettings:
     step: float = 0.05  # between neighbouring states [rad], the paper's 0.05
     resolution: float = 0.01  # of the exact backend's last check of a motion [rad]
     margin: float = 1e-4  # kept from obstacles [m]
-    inset: float = 1e-3
-    """How far inside their bounds regions are planned [m, rad], so that straight joint motions between two
-    states on the rim stay inside.
-    """
+    inset: float = (
+        1e-3  # by which bounds are tightened [m, rad]: motions between states on the rim stay inside
+    )
     tolerance: float = TOLERANCE  # on |F| after projection [m, rad]
     max_iterations: int = MAX_ITERATIONS  # newton steps per projection
 
@@ -82,11 +81,7 @@ class ConstrainedSpace:
     def __init__(
         self, problem: PlanningProblem, backend: str = "compiled", settings: SpaceSettings | None = None
     ) -> None:
-        """Make the arrays.
-
-        backend: "compiled" answers state checks in the kernels, "exact" calls coal; projection and tree growth are
-        the same code with either.
-        """
+        """backend: state checks are "compiled", or "exact" by coal; projection and tree growth are the same code."""
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
         settings = settings or SpaceSettings()
@@ -178,13 +173,11 @@ class ConstrainedSpace:
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
         """The path through states (m, n), refined where straight motions leave the manifold, if it is free.
 
-        Returns
-        -------
-        The path, or None with the index of the first segment that fails at the fine resolution.
+        Otherwise None, and the index of the first segment that fails at the fine resolution.
         """
         states = np.ascontiguousarray(states)
-        room = 8 * len(states) + 4 * int(JointPath(states).length / self.settings.step) + 64
-        out = np.empty((room, states.shape[1]))
+        capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.settings.step) + 64
+        out = np.empty((capacity, states.shape[1]))
         written, bad = refine_and_check(self.arrays, states, out)
         self.reraise()
         return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
@@ -238,10 +231,10 @@ def direct_motion(space: ConstrainedSpace, origin: np.ndarray, target: np.ndarra
     """
     origin, target = (np.ascontiguousarray(q, dtype=float) for q in (origin, target))
     straight = float(np.linalg.norm(target - origin))
-    room = np.empty((2 * int(straight / COARSE_STEP) + 2, len(origin)))
+    out = np.empty((2 * int(straight / COARSE_STEP) + 2, len(origin)))
     arrays = space.arrays._replace(step=COARSE_STEP)
-    count = bisect_motion(arrays, origin, target, max(DEVIATION * straight, COARSE_STEP), room)
+    count = bisect_motion(arrays, origin, target, max(DEVIATION * straight, COARSE_STEP), out)
     space.reraise()
     if count == 0:
         return None
-    return space.checked_path(np.vstack((origin[None], room[:count])))[0]
+    return space.checked_path(np.vstack((origin[None], out[:count])))[0]

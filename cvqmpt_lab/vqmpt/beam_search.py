@@ -70,24 +70,11 @@ def beam_search(
     limit the best hypothesis that is finished is returned; when none is, the best one, with `finished` False. The
     first prediction is never the goal token, and none is the start token.
 
-    Parameters
-    ----------
-    decoder
-        Fresh, for all queries.
-    beams
-        Hypotheses kept per query, K.
-    max_length
-        Predicted tokens at most, the goal token included (published code: 50 for CVQ-MPT, 30 for Opt-CVQ-MPT).
-    published
-        Score as the authors' code does: the logarithm of the first probability, then sums of plain probabilities;
-        the last code of any beam is forbidden to all of them; the search ends at the first step in which any beam
-        predicts the goal token, and the best of those is returned. Not copied is that their code then reads
-        embeddings that were not reordered with the beams.
-
-    Raises
-    ------
-    InvalidInputError
-        For a length or beam count below 1, more beams than codes, or logits that are not finite.
+    beams: hypotheses kept per query, K. max_length: predicted tokens at most, the goal token included (published
+    code: 50 for CVQ-MPT, 30 for Opt-CVQ-MPT). published: score as the authors' code does, by the logarithm of the
+    first probability, then sums of plain probabilities; the last code of any beam is forbidden to all of them; the
+    search ends at the first step in which any beam predicts the goal token, and returns the best of those. Not copied
+    is that their code then reads embeddings that were not reordered with the beams.
     """
     if max_length < 1:
         raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")

@@ -18,10 +18,8 @@ from cvqmpt_lab.vqmpt import clearances as kernels
 from cvqmpt_lab.vqmpt.clearances import EdgeArrays, fill_distances, motion_log_odds
 
 CELL = 0.03  # [m] of the distance field
-LOWER, UPPER = (
-    np.array([-1.2, -1.2, -0.9]),
-    np.array([1.2, 1.2, 1.53]),
-)  # [m] around the training clouds' crop
+LOWER = np.array([-1.2, -1.2, -0.9])  # [m] corners of the field, around the training clouds' crop
+UPPER = np.array([1.2, 1.2, 1.53])
 SPACING = 0.3  # [rad] between the states of a motion whose clearances are read
 CLOUDS = 4  # remembered
 
@@ -82,13 +80,7 @@ class EdgeModel:
     """A trained network for one robot and what its hand carries; remembers the latest clouds' distance fields."""
 
     def __init__(self, network: SmallNetwork, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> None:
-        """Take the spheres of the robot's collision geometry.
-
-        Raises
-        ------
-        InvalidInputError
-            When the network is for another number of joints.
-        """
+        """Take the spheres of the robot's collision geometry; refuse a network for another number of joints."""
         if network.inputs != robot.dof + 1:
             raise InvalidInputError(
                 f"this network is for {network.inputs - 1} joints; {robot.name} has {robot.dof}"
@@ -127,7 +119,7 @@ class EdgeModel:
 
 
 def without_cloud(n: int) -> EdgeArrays:
-    """For kernels that ask no model, of a robot of n joints."""
+    """An unused model for kernels that search without one, of a robot of n joints."""
     nothing = np.zeros((1, 1, 1), dtype=np.uint8)
     return _edge_arrays(
         SmallNetwork.untrained(n + 1), n, nothing, np.zeros((0, 4)), np.zeros(0, dtype=np.int64)

@@ -59,21 +59,9 @@ class Imported(NamedTuple):
 def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Imported:
     """Convert published checkpoints; every tensor finds its place and none is left over.
 
-    Parameters
-    ----------
-    dictionary_dir
-        Folder of ``model_params.json`` and ``best_model.pkl`` (stage 1).
-    ar_dir
-        Folder of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2).
-    robot
-        Whose joint limits the training data were scaled by; the files do not say.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the file that is missing, not json or not a pickle of tensors (a pickle that wants to run
-        code is refused, never executed), the field that is unknown or missing, or the tensors that are
-        missing, left over, of another shape or damaged.
+    dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1). ar_dir: folder of
+    ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2). robot: by whose joint limits the training
+    data were scaled; the files do not say. InvalidInputError names the file, field or tensors that do not fit.
     """
     dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
     config = _config(dictionary_dir, ar_dir)

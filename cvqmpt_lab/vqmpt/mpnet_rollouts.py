@@ -111,10 +111,8 @@ class MPNetSettings:
     rollouts: int = 10  # tried before giving up; goals take turns, the nearest first
     predictions: int = 10  # states of one rollout
     attempts: int = 32  # proposals tested for one state before its rollout is given up
-    dropout: bool = True
-    """Leave dropout on, as published; without it every attempt is the same, so there is one."""
-    bridge: bool = True
-    """Join the sides by tree growth if they have not met after all predictions; otherwise give the rollout up."""
+    dropout: bool = True  # as published; without it every attempt is the same, so there is one
+    bridge: bool = True  # join sides that have not met by tree growth; otherwise give the rollout up
     share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
 
     def __post_init__(self) -> None:
@@ -146,11 +144,6 @@ class MPNetRollouts:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
 
         An iteration is one proposal tested or one sample used.
-
-        Raises
-        ------
-        InvalidInputError
-            When the cloud is none.
         """
         assert observation.cloud is not None
         began = query.deadline.seconds

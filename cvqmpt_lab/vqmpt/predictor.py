@@ -26,9 +26,7 @@ from cvqmpt_lab.vqmpt.weights import StoredModel
 
 GOAL_STD = 0.1  # of the Gaussian around each goal, as a share of each joint's range (published code)
 LIMIT_TOLERANCE = 1e-6  # start and goals may leave the joint limits by this much [rad or m]
-SMALLEST_STD = (
-    1e-4  # no Gaussian is narrower in any direction [rad], so that covariances stay positive definite
-)
+SMALLEST_STD = 1e-4  # [rad] in any direction, so that covariances stay positive definite
 SCENES = 8  # encoded clouds in the cache
 
 
@@ -37,11 +35,8 @@ class PredictorSettings:
     """How sequences are searched and what the mixture is made of; defaults chosen on the tuning environments."""
 
     published: bool = False
-    """As the authors' code: beams are ranked as `beam_search` says, a code that is repeated counts as often, and
-    sampling is uniform when no sequence reaches a goal; otherwise it is then around the goals."""
-    uniform_share: float = (
-        0.5  # of samples drawn between the joint limits; 0 leaves the mixture without a tail
-    )
+    """As the authors' code: see `beam_search`; repeated codes count; uniform when no sequence reaches a goal."""
+    uniform_share: float = 0.5  # of samples drawn between the joint limits; 0: no tail
     std_floor: float | None = 0.8  # Gaussians are widened until no direction is narrower [rad]; None: not
     name: str = "cvq-mpt"
 

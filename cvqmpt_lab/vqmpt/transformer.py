@@ -131,16 +131,8 @@ class PublishedSequenceModel(nn.Module):
     ) -> Tensor:
         """Logits (b, n_classes) of what follows each prefix.
 
-        Parameters
-        ----------
-        context
-            (b, 2, d_model), of `encode_context`.
-        codes
-            (b, t) int64: the codes so far, padded with any valid code beyond `lengths`.
-        quantizer
-            The dictionary's, frozen.
-        lengths
-            (b,) codes that count; None for all t.
+        context: (b, 2, d_model), of `encode_context`. codes: (b, t) int64, padded with any valid code beyond
+        lengths: (b,), None for all t. quantizer: the dictionary's, frozen.
         """
         with torch.no_grad():
             embedded = quantizer.lookup(codes)
