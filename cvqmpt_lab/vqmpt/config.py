@@ -1,4 +1,4 @@
-"""Sizes and options of VQ-MPT and MPNet, as they stand in the json file beside weights.
+"""Sizes and options of VQ-MPT and MPNet, as in the json file beside weights, and checks of their inputs.
 
 Defaults are those of the published models; `ModelConfig.compact` is the smaller dictionary that ships.
 """

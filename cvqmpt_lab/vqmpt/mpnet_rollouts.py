@@ -12,6 +12,7 @@ project's own; the cloud's encoding is paid for.
 import time
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,8 +124,7 @@ class MPNetSettings:
             raise InvalidInputError(f"share of MPNet is {self.share}; give more than 0 and at most 1")
 
 
-@dataclass(frozen=True, eq=False)
-class Rollout:
+class Rollout(NamedTuple):
     """What the network proposed from start to goal."""
 
     states: np.ndarray  # (k, n) [rad or m]

@@ -1,4 +1,4 @@
-"""From a query to a mixture: the cheapest sequences of codes on the dictionary's roadmap, one Gaussian a code.
+"""From a query to a mixture: the dictionary as a roadmap with edge costs, and the cheapest code sequences on it.
 
 Costs of edges are length + w * -log P(free | cloud). Paper: sequences of codes {d_1, d_2, ..} of the dictionary, whose
 decoded Gaussians N(mu_k, Sigma_k) with equal weights are the sampling distribution (eqn. sample_dist).
