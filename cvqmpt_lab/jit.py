@@ -2,8 +2,8 @@
 
 A `kernel` is called by other kernels only. An `entry` is a kernel that Python calls, too: its machine code is kept on
 disk, and its annotations say what each array must look like, for example ``Annotated[np.ndarray, "m n"]`` (float64)
-or ``Annotated[np.ndarray, "int64 2 capacity"]``. A bundle (NamedTuple) of arrays says so at its own fields. A letter
-stands for one number throughout a call (n joints), a word for one among the arguments or the fields of one bundle.
+or ``Annotated[np.ndarray, "int64 2 capacity"]``. A named tuple of arrays has annotations at its own fields. A letter
+stands for one number throughout a call (n joints), a word for one among the arguments or fields of one named tuple.
 Numbers are annotated `float`, `int` or `bool`.
 
 Kernels make no arrays: numba's reference counting would cost more than the arithmetic of the hot path (residual and
@@ -70,8 +70,7 @@ def forget_unused(place: Path, kept: int = VERSIONS) -> None:
 
 def compiled_before(everything: bool = False) -> bool:
     """Whether machine code is on disk: some of it, or of every entry."""
-    place = folder()
-    return place is not None and any(place.glob("complete" if everything else "*.nbc"))
+    return (place := folder()) is not None and any(place.glob("complete" if everything else "*.nbc"))
 
 
 def compile_all(first: int = 0, stride: int = 1) -> None:
@@ -96,9 +95,8 @@ class Locator(UserProvidedCacheLocator):
 def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:
     """A compiled function that other kernels call.
 
-    inline: "machine" merges its machine code into every caller: a bundle of arrays is passed as some hundred
-        scalars, which a call in the hot path cannot afford. "source" pastes it into its callers before anything is
-        compiled, which spares compiling it on its own.
+    inline: "machine" merges its machine code into every caller: a named tuple of arrays is passed as a hundred scalars,
+        too slow in the hot path. "source" copies it into its callers, so that it is not compiled on its own.
     """
     if function is None:
         return functools.partial(kernel, inline=inline)
@@ -132,7 +130,7 @@ class Entry:
 
     @functools.cached_property
     def unchecked(self) -> Callable:
-        """Its machine code, for callers that have checked the shapes: for bundles the check costs some microseconds."""
+        """Its machine code, for callers that have checked the shapes: the check costs some microseconds."""
         signature = tuple(_numba_type(form) for form in _forms(self.py_func))
         for _ in range(8):
             try:
@@ -162,17 +160,17 @@ def call_address(typing_context, address):
 
 
 class _Form(NamedTuple):
-    """What an argument, or a field of a bundle, must look like."""
+    """What an argument, or a field of a named tuple, must look like."""
 
     name: str
-    hint: Any  # float, int, bool, a bundle's class, or an annotated array
+    hint: Any  # float, int, bool, a named tuple's class, or an annotated array
     dtype: np.dtype | None = None  # of an array
     shape: tuple[int | str, ...] = ()  # of an array: numbers, or names that stand for one
 
 
 @functools.cache
 def _forms(annotated: Any) -> tuple[_Form, ...]:
-    """Forms of a function's arguments or of a bundle's fields, in order."""
+    """Forms of a function's arguments or of a named tuple's fields, in order."""
     found = []
     for name, hint in get_type_hints(annotated, include_extras=True).items():
         if not hasattr(hint, "__metadata__"):
@@ -194,16 +192,13 @@ def _numba_type(form: _Form) -> types.Type:
     return types.BaseTuple.from_types(tuple(map(_numba_type, _forms(form.hint))), form.hint)
 
 
-def check_bundle(bundle: NamedTuple) -> None:
-    """InvalidInputError unless all arrays of a bundle, and of bundles in it, fit its annotations and each other."""
-    _check(bundle, _forms(type(bundle)), {}, type(bundle).__name__, 9)
+def check_arrays(arrays: NamedTuple) -> None:
+    """InvalidInputError unless all arrays of a named tuple, nested ones too, fit annotations and each other."""
+    _check(arrays, _forms(type(arrays)), {}, type(arrays).__name__, 9)
 
 
 def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str, depth: int) -> None:
-    """Compare values with their forms.
-
-    sizes: numbers found so far for names of dimensions. depth: of the bundles in bundles that are looked into.
-    """
+    """Compare values with their forms, named tuples down to a depth; sizes: numbers known for names of dimensions."""
     for value, form in zip(values, forms, strict=True):
         if form.dtype is None:
             if depth > 0 and form.hint not in NUMBERS:

@@ -11,7 +11,7 @@ from compiled_kernels import from_python
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.jit import check_bundle, entry, forget_unused, kernel
+from cvqmpt_lab.jit import check_arrays, entry, forget_unused, kernel
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -63,11 +63,11 @@ def test_what_does_not_fit_is_named(arguments, message):
 
 def test_a_space_whose_arrays_do_not_fit_each_other_is_refused(problem, slider_arm):
     arrays = ConstrainedSpace(problem).arrays
-    check_bundle(arrays)
+    check_arrays(arrays)
     with pytest.raises(InvalidInputError, match=r"Space.*n = 7"):
-        check_bundle(arrays._replace(state=np.zeros(4)))
+        check_arrays(arrays._replace(state=np.zeros(4)))
     with pytest.raises(InvalidInputError, match=r"Space"):
-        check_bundle(arrays._replace(kinematics=slider_arm.kinematics))
+        check_arrays(arrays._replace(kinematics=slider_arm.kinematics))
 
 
 SIX = np.zeros((3, 6))

@@ -12,7 +12,7 @@ from cvqmpt_lab.collision.geometry import swing
 from cvqmpt_lab.constraints.project import projection_scratch
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.jit import check_bundle
+from cvqmpt_lab.jit import check_arrays
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search import motion as kernels
 from cvqmpt_lab.search.motion import (
@@ -89,7 +89,7 @@ class ConstrainedSpace:
         exact = problem.collision_checker(settings.margin) if backend == "exact" else None
         self._check, query = _callback(exact, problem.robot.dof)
         self.arrays = _arrays(problem, settings, exact is not None, self._check.address, query)
-        check_bundle(self.arrays)
+        check_arrays(self.arrays)
         self._shape = (problem.robot.dof,)
         self.doubtful = self._find_doubtful()
 
