@@ -1,9 +1,8 @@
 """Whether a posed robot touches an obstacle or itself: conservative by construction.
 
-The balls of each body are walked from large to small; a look-up in the distance grid clears a ball and all
-below it. What is left at the leaves is settled between a convex piece and each nearby obstacle by
-`separation.separated`, which says "free" only on the evidence of a separating slab. Poses that are not
-finite count as collisions.
+The balls of each body are checked from large to small; where the distance grid shows that a ball is free, all below it
+are. Pieces in the other leaves are checked against each nearby obstacle by `separation.separated`, which needs a
+separating slab to say "free". Poses that are not finite are collisions.
 """
 
 import numpy as np
@@ -94,11 +93,9 @@ def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
     for k in range(scene.primitive_start[item], scene.primitive_start[item + 1]):
         primitive = scene.primitives[k]
         half = (primitive[3], primitive[4], primitive[5])
-        a, b, c = (
-            _outside(x - primitive[0], half[0]),
-            _outside(y - primitive[1], half[1]),
-            _outside(z - primitive[2], half[2]),
-        )
+        a = _outside(x - primitive[0], half[0])
+        b = _outside(y - primitive[1], half[1])
+        c = _outside(z - primitive[2], half[2])
         if a * a + b * b + c * c > (reach + radius) * (reach + radius):
             continue
         p = _moved(frame, primitive[0], primitive[1], primitive[2])
@@ -115,10 +112,8 @@ def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, m
     listed = inside and reach <= scene.reach
     first, count = 0, scene.bounds.shape[0]
     if listed:
-        first, count = (
-            scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1],
-            scene.grid.list_count[ix >> 1, iy >> 1, iz >> 1],
-        )
+        first = scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1]
+        count = scene.grid.list_count[ix >> 1, iy >> 1, iz >> 1]
     pose = _world_in_link(r, t, link)
     for k in range(first, first + count):
         i = np.int64(scene.grid.items[k]) if listed else np.int64(k)

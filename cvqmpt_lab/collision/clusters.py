@@ -10,6 +10,13 @@ from cvqmpt_lab.errors import InvalidInputError
 MOST_PRIMITIVES = 16  # in one cluster
 _FINE = 8  # steps of the sorting curve along the edge of a voxel
 _BITS = 21  # of each coordinate on the curve
+_SPREADING = (  # shifts and masks that open gaps of two bits
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
 
 
 class Cloud(NamedTuple):
@@ -29,10 +36,8 @@ class Clusters(NamedTuple):
     rotation: np.ndarray  # (n, 3, 3), of the cloud's frame
     radius: np.ndarray  # (n,) inflation of the primitives [m]
     cloud: np.ndarray  # (n,) int64, which cloud
-    start: np.ndarray
-    """(n + 1,) int64 range of each cluster in `primitives`; empty for a cluster of one, which its box is."""
-    primitives: np.ndarray
-    """(k, 6): centres, seen from those of their clusters in the cloud's axes, and half edges [m]."""
+    start: np.ndarray  # (n + 1,) int64 range in `primitives`; empty for a cluster of one primitive
+    primitives: np.ndarray  # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
 
 
 def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
@@ -109,13 +114,3 @@ def _spread(number: np.ndarray) -> np.ndarray:
     for shift, mask in _SPREADING:
         number = (number | number << shift) & mask
     return number
-
-
-_SPREADING = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
-"""Shifts and masks that open gaps of two bits, in halving steps."""

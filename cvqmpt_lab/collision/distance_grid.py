@@ -1,4 +1,4 @@
-"""A grid of distances to the nearest obstacle: one look-up clears a ball, however many obstacles there are.
+"""A grid of distances to the nearest obstacle: one look-up shows that a ball is free of all obstacles.
 
 Each cell holds a lower bound, rounded down to a byte, and each block of 2^3 cells a list of the obstacles nearby. The
 grid is filled by blocks of 8^3 cells: obstacles that can matter inside a block are collected, and each lowers the
@@ -17,8 +17,8 @@ STEP = RANGE / 255.0  # [m] of a stored byte
 COARSE = 8  # cells along the edge of a block
 SIDE = 4  # list blocks along the edge of one of these
 LISTS = SIDE**3  # in all
-BETWEEN = 16  # obstacles, a block's distances are looked at for what can still lower them
-ROOM = 1024  # items of lists, to begin with
+BETWEEN = 16  # obstacles after which the largest distance of a block is computed again
+CAPACITY = 1024  # items of lists, to begin with
 REACH = 0.13  # [m] largest ball whose neighbours are listed
 CENTRE, HALF, INFLATION, COLUMNS = 9, 12, 15, 16  # of an obstacle's bounds; rotation comes first
 _ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
@@ -32,9 +32,8 @@ class DistanceGrid(NamedTuple):
     cell: float  # Edge of a cell [m]
     cells_per_metre: float  # Its inverse [1/m]
     distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]  # In units of RANGE / 255
-    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
-    """Where the list of a block of 2^3 cells begins in `items`."""
-    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]  # How long it is
+    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]  # First of `items` of a 2^3 block
+    list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]  # Length of its list
     items: Annotated[np.ndarray, "int32 listed"]  # Obstacle indices
 
 
@@ -104,13 +103,6 @@ def _lower_inflated(best, x, yz, inflation):
 
 
 @kernel
-def _append(work, s, i):
-    """Append obstacle i to list s of the block."""
-    work.listed[s, work.counts[s]] = i
-    work.counts[s] += 1
-
-
-@kernel
 def _add_straight(bounds, i, grid, reach, matters, work):
     """Lower the distances of a block's cells to those from a box along the axes; append it to its lists.
 
@@ -136,7 +128,9 @@ def _add_straight(bounds, i, grid, reach, matters, work):
             plane = across + min(y[2 * ly], y[2 * ly + 1])
             for lz in range(SIDE if plane <= limit2 else 0):
                 if plane + min(z[2 * lz], z[2 * lz + 1]) <= limit2:
-                    _append(work, (lx * SIDE + ly) * SIDE + lz, i)
+                    s = (lx * SIDE + ly) * SIDE + lz
+                    work.listed[s, work.counts[s]] = i
+                    work.counts[s] += 1
 
 
 @kernel
@@ -148,7 +142,8 @@ def _add_turned(bounds, i, grid, reach, work):
         x, y, z = corner[0] + (lx + 1) * edge, corner[1] + (ly + 1) * edge, corner[2] + (lz + 1) * edge
         near, from_centre = _distances(bounds, i, x, y, z, edge)
         if near <= reach:
-            _append(work, s, i)
+            work.listed[s, work.counts[s]] = i
+            work.counts[s] += 1
         if near > upper[s]:
             continue
         upper[s] = min(upper[s], max(from_centre, 0.0) + _HALF_DIAGONAL * edge)
@@ -186,16 +181,14 @@ def _store(grid, bx, by, bz, best2, best):
 
 
 class Work(NamedTuple):
-    """Arrays that are used anew for every block."""
+    """Work arrays of one block."""
 
     corner: Annotated[np.ndarray, "3"]  # Of the block [m]
-    gaps: Annotated[np.ndarray, "3 8"]
-    """Squared distances of a box from the block's COARSE cells along each axis [m^2]."""
+    gaps: Annotated[np.ndarray, "3 8"]  # Squared distances of a box from cells along each axis [m^2]
     yz: Annotated[np.ndarray, "64"]  # Sums of those along y and z
     best2: Annotated[np.ndarray, "8 64"]  # Squared distances of the cells [m^2], and ...
     best: Annotated[np.ndarray, "8 64"]  # ... distances [m]; the smaller counts
-    upper: Annotated[np.ndarray, "64"]
-    """Bound on what the cells of each of LISTS list blocks have nearest [m]."""
+    upper: Annotated[np.ndarray, "64"]  # Upper bound on the distances of each list block's cells [m]
     counts: Annotated[np.ndarray, "int64 64"]  # How many obstacles each list holds
     listed: Annotated[np.ndarray, "int32 64 most"]  # Those
     near: Annotated[np.ndarray, "most"]  # Distances of obstacles from the block [m]
@@ -228,11 +221,9 @@ def fill_blocks(
     first: int,
     used: int,
 ):
-    """Fill distances and lists of blocks from the first on, as far as there is room for the items of the lists.
+    """Fill distances and lists of blocks from the first on, until `grid.items` is full.
 
-    Returns
-    -------
-    The block to go on with, and how many items are used.
+    Returns the block to go on with, and how many items are used.
     """
     blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
     near, kept, items = work.near, work.kept, grid.items
@@ -314,7 +305,7 @@ def distance_grid(
         np.full(tuple(COARSE * blocks), 255, dtype=np.uint8),
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs, dtype=np.int32),
-        np.empty(ROOM, dtype=np.int32),
+        np.empty(CAPACITY, dtype=np.int32),
     )
     block, used, work = 0, 0, _work_arrays(most)
     while block < len(starts) - 1:

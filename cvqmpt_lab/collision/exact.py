@@ -49,17 +49,15 @@ class _World(NamedTuple):
     """Obstacles in a broad phase."""
 
     phase: coal.DynamicAABBTreeCollisionManager
-    objects: list[coal.CollisionObject]  # They must outlive the broad phase, which looks at their boxes, too
+    objects: list[coal.CollisionObject]  # They must outlive the broad phase, which reads their boxes
 
 
 class CollisionChecker:
-    """Answers whether a robot, carrying attachments, touches itself or the obstacles of a scene.
+    """Whether a robot, carrying attachments, touches itself or the obstacles of a scene.
 
-    Pieces that do not move against each other (a base link and the walls, a hand and what it
-    carries) are never paired.
-
-    margin: pieces closer than this [m] count as touching. Contact itself is only defined to about
-    1e-5 m, so whoever needs two checkers to agree keeps a margin.
+    Pieces that do not move against each other (a base link and the walls, a hand and what it carries) are no pair.
+    margin: pieces closer than this [m] count as touching. Contact is defined to 1e-5 m only: two checkers agree where
+    a margin is kept.
     """
 
     def __init__(
@@ -115,7 +113,7 @@ class CollisionChecker:
         if len(self._geometry.collisionPairs) == 0:
             return np.ones(len(q), dtype=bool)
         moved = self._sweep.between(q, hulls) + self._margin + ROUNDING
-        return np.array([self._apart(*look) for look in zip(q, moved, strict=True)])
+        return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)])
 
     def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
         """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
@@ -157,7 +155,7 @@ class CollisionChecker:
             nearest = min(nearest, callback.data.result.min_distance)
         return nearest if nearest < FARTHEST else np.inf
 
-    def _world(self, inflation: float) -> "_World":
+    def _world(self, inflation: float) -> _World:
         """The obstacles in boxes that are inflated [m]."""
         if inflation not in self._worlds:
             objects = [
@@ -177,14 +175,11 @@ class CollisionChecker:
         request, result = self._callback.data.request, self._callback.data.result
         for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
             request.security_margin = margin
-            manager.collide(self._world_for(margin).phase, self._callback)
+            inflation = next((s for s in (self._margin, *INFLATIONS) if s >= margin), margin)
+            manager.collide(self._world(inflation).phase, self._callback)
             if result.isCollision():
                 return True
         return False
-
-    def _world_for(self, margin: float) -> "_World":
-        """The obstacles in boxes that are inflated by no less than a margin [m]."""
-        return self._world(next((s for s in (self._margin, *INFLATIONS) if s >= margin), margin))
 
 
 def _box_gaps(first: list, second: list) -> np.ndarray:

@@ -1,8 +1,7 @@
-"""Robot and scene as the collision kernels see them: bundles of plain arrays, and their builders.
+"""Robot and scene for the collision kernels: named tuples of arrays, and the functions that make them.
 
-A *piece* is a convex part of a robot geometry; a *body* is a set of geometries on one link that are checked
-against the same others; it is walked as one tree of balls. An *item* is an obstacle, or a box around a
-handful of neighbouring primitives of a cloud.
+A *piece* is a convex part of a robot geometry. A *body* is a set of geometries on one link that are checked against the
+same others; it has one tree of balls. An *item* is an obstacle, or a box around neighbouring primitives of a cloud.
 """
 
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from cvqmpt_lab.collision.distance_grid import (
 )
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
-from cvqmpt_lab.collision.sphere_cover import LARGEST_RADIUS, MOST_PIECES, Piece, cut_into_pieces, sphere_tree
+from cvqmpt_lab.collision.sphere_cover import Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.robot.kinematics import Kinematics
 
 CELL = 0.04  # [m] of the distance grid
@@ -50,10 +49,8 @@ class SceneGeometry(NamedTuple):
     shapes: ConvexShapes  # All items
     bounds: Annotated[np.ndarray, "items 16"]  # Oriented boxes around them, see `distance_grid`
     owner: Annotated[np.ndarray, "int64 items"]  # Obstacle of each item; clouds are counted after the shapes
-    primitive_start: Annotated[np.ndarray, "int64 ranges"]
-    """Range of each item's primitives; empty for a shape, which is solid."""
-    primitives: Annotated[np.ndarray, "primitives 6"]
-    """Boxes in the frames of their items: centres and half edges [m]."""
+    primitive_start: Annotated[np.ndarray, "int64 ranges"]  # Of each item's primitives; a shape has none
+    primitives: Annotated[np.ndarray, "primitives 6"]  # Centres and half edges in their items' frames [m]
     grid: DistanceGrid  # Distances over the robot's reach
     reach: float  # Largest ball whose neighbours the grid lists [m]
 
@@ -62,44 +59,34 @@ def robot_geometry(
     specs: Sequence[ShapeSpec],
     link: Sequence[int],
     pairs: Sequence[tuple[int, int]],
-    obstacles_matter: Sequence[bool] | None = None,
-    largest_radius: float = LARGEST_RADIUS,
-    most_pieces: int = MOST_PIECES,
 ) -> RobotGeometry:
-    """Return the pieces of a robot with their trees of balls.
+    """Pieces of a robot and their trees of balls.
 
-    Parameters
-    ----------
-    specs: geometries, posed in their links. link: pose row of each.
-    pairs: geometries to check against each other.
-    obstacles_matter: which geometries are checked against obstacles; by default all but those of link 0,
-        which is fixed to the world.
-    largest_radius, most_pieces: how finely geometries are cut [m].
+    specs: geometries, posed in their links. link: pose row of each; those of link 0, which is fixed to the world, are
+    not checked against obstacles. pairs: geometries to check against each other.
     """
-    matter = [row != 0 for row in link] if obstacles_matter is None else list(obstacles_matter)
-    bodies, body_pairs = _bodies(link, pairs, matter)
+    bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
     owner: list[int] = []
     trees = []
     for members in bodies:
         leaves: list[Piece] = []
         for g in members:
-            leaves.extend(_cut(specs[g], largest_radius, most_pieces, piece_specs))
+            leaves.extend(_cut(specs[g], piece_specs))
             owner.extend([g] * (len(piece_specs) - len(owner)))
         trees.append(sphere_tree(leaves))
     end = np.cumsum([len(tree.leaf) for tree in trees], dtype=np.int64)
     start = end - [len(tree.leaf) for tree in trees]
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
-    order = [b for b in np.argsort(-rows, kind="stable") if matter[bodies[b][0]]]
+    order = [b for b in np.argsort(-rows, kind="stable") if rows[b] != 0]
     sphere = np.concatenate([np.empty((0, 4)), *(tree.sphere for tree in trees)])
     leaf = np.concatenate([np.empty(0, np.int64), *(tree.leaf for tree in trees)])
+    skips = [tree.skip + first for tree, first in zip(trees, start, strict=True)]
     return RobotGeometry(
         pieces=pack_shapes(piece_specs),
         owner=np.array(owner, dtype=np.int64),
         sphere=sphere,
-        skip=np.concatenate(
-            [np.empty(0, np.int64), *(t.skip + s for t, s in zip(trees, start, strict=True))]
-        ),
+        skip=np.concatenate([np.empty(0, np.int64), *skips]),
         leaf=leaf,
         body_link=rows,
         body_start=start.astype(np.int64),
@@ -126,26 +113,26 @@ def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
 
 
 def _bodies(
-    link: Sequence[int], pairs: Sequence[tuple[int, int]], matter: Sequence[bool]
+    link: Sequence[int], pairs: Sequence[tuple[int, int]]
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Group geometries that share a link, their partners and whether obstacles matter; pair the groups."""
+    """Geometries grouped by link and by the others they are checked against; pairs of groups to check."""
     partners: list[set[int]] = [set() for _ in link]
     for a, b in pairs:
         partners[a].add(b)
         partners[b].add(a)
-    groups: dict[tuple[int, bool, frozenset[int]], list[int]] = {}
+    groups: dict[tuple[int, frozenset[int]], list[int]] = {}
     for g, row in enumerate(link):
-        groups.setdefault((row, matter[g], frozenset(partners[g])), []).append(g)
-    bodies = [members for (_, checked, others), members in groups.items() if checked or others]
+        groups.setdefault((row, frozenset(partners[g])), []).append(g)
+    bodies = [members for (row, others), members in groups.items() if row != 0 or others]
     body_of = {g: b for b, members in enumerate(bodies) for g in members}
     paired = {(min(body_of[a], body_of[b]), max(body_of[a], body_of[b])) for a, b in pairs}
     return bodies, sorted(paired)
 
 
-def _cut(spec: ShapeSpec, largest_radius: float, most_pieces: int, pieces: list[ShapeSpec]) -> list[Piece]:
-    """Append the pieces of one geometry; return them as leaves. Only polytopes are really cut."""
+def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
+    """Append the pieces of one geometry, return them as leaves; cylinders and spheres stay one piece."""
     points, inflation = outline(spec)
-    parts = [points] if inflation > 0.0 else cut_into_pieces(points, largest_radius, most_pieces)
+    parts = [points] if inflation > 0.0 else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
         pieces.append(spec)
         return [Piece(part, inflation, len(pieces) - 1) for part in parts]
@@ -171,12 +158,11 @@ def scene_geometry(
     """
     solid = pack_shapes(specs)
     clusters = cluster_primitives(clouds, cell)
-    shapes = _with_boxes(solid, clusters)
     turn, count = clusters.rotation.reshape(-1, 9), len(specs)
     boxes = np.column_stack([turn, clusters.centre, clusters.half, clusters.radius])
     bounds = np.concatenate([_bounds(specs), boxes])
     return SceneGeometry(
-        shapes=shapes,
+        shapes=_with_boxes(solid, clusters),
         bounds=bounds,
         owner=np.concatenate([np.arange(count), count + clusters.cloud]).astype(np.int64),
         primitive_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),

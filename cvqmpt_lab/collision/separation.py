@@ -80,7 +80,7 @@ def _nearest_on_triangle(a, b, c):
 
 @kernel
 def _beyond_face(a, b, c, opposite):
-    """Return whether the origin may lie beyond face abc, seen from the opposite corner (flat: yes)."""
+    """Whether the origin may lie beyond face abc, seen from the opposite corner (flat: yes)."""
     normal = _cross(_minus(b, a), _minus(c, a))
     side_origin = -dot(a, normal)
     side_opposite = dot(_minus(opposite, a), normal)
@@ -123,7 +123,7 @@ def nearest_on_simplex(n, p0, p1, p2, newest):
     return _nearest_on_tetrahedron(p0, p1, p2, newest)
 
 
-# Separation of two convex shapes: a GJK that only ever believes a separating axis it has evaluated.
+# Separation of two convex shapes: GJK that answers only with slabs it has measured.
 HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
 MAX_HULL_VERTICES = 1 << 16
 _INDEX_MASK = np.int64(MAX_HULL_VERTICES - 1)
@@ -133,31 +133,31 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class ConvexShapes(NamedTuple):
-    """Convex shapes as a struct of arrays; a numba argument.
+    """Convex shapes.
 
     Every shape is a core (below) inflated by ``radius``, so that a sphere is an inflated point.
     Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's frame.
     """
 
     kind: Annotated[np.ndarray, "int64 shapes"]  # HULL, BOX, CYLINDER (axis z) or SPHERE
-    size: Annotated[np.ndarray, "shapes 3"]
-    """Half sizes of a box; (radius, radius, half length) of a cylinder; largest absolute
-    coordinates of a hull; zeros for a sphere [m]."""
+    # Half sizes of a box; (radius, radius, half length) of a cylinder; largest |coordinates| of a hull; 0 of a sphere
+    size: Annotated[np.ndarray, "shapes 3"]  # [m]
     radius: Annotated[np.ndarray, "shapes"]  # Inflation of the core [m]; for a sphere its radius
     rotation: Annotated[np.ndarray, "shapes 3 3"]  # Orientation of the core in its owner's frame
     translation: Annotated[np.ndarray, "shapes 3"]  # Position of the core in its owner's frame [m]
     vertex_start: Annotated[np.ndarray, "int64 shapes"]  # First column of ``vertices``
     vertex_count: Annotated[np.ndarray, "int64 shapes"]  # Number of columns of ``vertices``
-    vertices: Annotated[np.ndarray, "3 vertices"]
-    """Packed hull vertices, one row a coordinate so that the support loop vectorises [m]."""
+    vertices: Annotated[
+        np.ndarray, "3 vertices"
+    ]  # Of all hulls; rows of coordinates, so that loops vectorise [m]
 
 
 @kernel(inline="machine")
 def _hull_support(x, y, z, size, d):
     """Return the vertex farthest along d among x, y, z (n,), to about 1e-10 of the hull's size.
 
-    The index of each vertex rides in the low bits of its (positive) projection, which turns the search for
-    the farthest vertex into a maximum of integers: the only form that compiles to vector instructions.
+    The low bits of each (positive) projection hold the index of its vertex: the search becomes a maximum of integers,
+    the only form that compiles to vector instructions.
     """
     offset = 1.001 * (size[0] * abs(d[0]) + size[1] * abs(d[1]) + size[2] * abs(d[2])) + 1e-200
     best = np.int64(0)
@@ -257,17 +257,8 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     means that no slab was found. The search stops when a slab is wider than ``above``, when the distance is
     known to be at most ``below``, or when the gap is within ``tolerance`` of the distance.
 
-    Parameters
-    ----------
-    a, b : ConvexShapes
-    i, j : int
-        Which shape of a and which of b.
-    pose : tuple of 12 floats
-        Pose of b's owner in the frame of a's owner: rotation by rows, then translation [m].
-    axis : tuple of 3 floats
-        First proposal, from B towards A, any length, in the frame of a's owner.
-    above, below, tolerance : float
-        Stopping rule [m].
+    pose: of b's owner in the frame of a's owner, 12-tuple: rotation by rows, then translation [m].
+    axis: first direction tried, 3-tuple from b towards a of any length, in the frame of a's owner.
     """
     inflation = a.radius[i] + b.radius[j]
     sa, na, sb, nb = a.vertex_start[i], a.vertex_count[i], b.vertex_start[j], b.vertex_count[j]
@@ -297,7 +288,7 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
 
 @kernel(inline="machine")
 def separated(a, i, b, j, pose, axis, margin):
-    """Return whether a slab wider than margin [m] separates shape i of a from shape j of b."""
+    """Whether a slab wider than margin [m] separates shape i of a from shape j of b."""
     return separating_gap(a, i, b, j, pose, axis, margin, margin, 1e-9) > margin
 
 
@@ -309,7 +300,7 @@ def distance(a, i, b, j, pose, axis, tolerance):
 
 @kernel(inline="machine")
 def box_separated(a, i, half, radius, pose, axis, margin):
-    """Return whether a slab wider than margin [m] separates shape i of a from an inflated box.
+    """Whether a slab wider than margin [m] separates shape i of a from an inflated box.
 
     half, radius: half edges (3 floats) and inflation of the box [m]; of a ball the edges are zero.
     pose: of the box in the frame of a's owner (12-tuple).

@@ -1,8 +1,7 @@
 """Covering convex shapes by spheres: a tree of balls per rigid body, whose leaves are small convex pieces.
 
-A hull is cut in two across its longest axis, again and again, until the ball around each piece is small.
-The pieces together are the hull, so that testing the pieces whose balls are not cleared tests the hull.
-Runs once per robot.
+A hull is cut in two across its longest axis until the ball around each piece is small. The union of the pieces is the
+hull: checking the pieces whose balls may touch something checks the hull. Runs once a robot.
 """
 
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from cvqmpt_lab.jit import entry
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
 MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS
 ANY_RADIUS = 0.095  # [m] below the reach of the distance grid's lists
+ROUNDS = 200  # steps towards the smallest ball around points
 FLAT = 1e-9  # [m] thinner point sets are treated as flat
 SLACK = 1e-8  # [m] added to every ball: more than FLAT and the rounding of its vertices
 
@@ -62,13 +62,13 @@ def shrink_sphere(
     return np.sqrt(smallest) + SLACK
 
 
-def enclosing_sphere(points: np.ndarray, rounds: int = 200) -> tuple[np.ndarray, float]:
-    """Return centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
+def enclosing_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
 
-    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: step towards the farthest point, ever less.
+    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: ever shorter steps towards the farthest point.
     """
     centre = np.empty(3)
-    radius = shrink_sphere(np.ascontiguousarray(points), rounds, np.empty(3), centre)
+    radius = shrink_sphere(np.ascontiguousarray(points), ROUNDS, np.empty(3), centre)
     return centre, radius
 
 
@@ -81,7 +81,7 @@ class Hull(NamedTuple):
 
 def convex_hull(points: np.ndarray) -> Hull:
     """Return the hull of points (n, 3) [m]; flat and straight sets of points have one too."""
-    from scipy.spatial import ConvexHull, QhullError  # a third of a second to import, and needed once a robot
+    from scipy.spatial import ConvexHull, QhullError  # 0.3 s to import, needed once a robot
 
     centred = points - points.mean(axis=0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
@@ -100,13 +100,11 @@ def convex_hull(points: np.ndarray) -> Hull:
     return Hull(points[hull.vertices], row[hull.simplices[:, sides].reshape(-1, 2)])
 
 
-def cut_into_pieces(
-    points: np.ndarray, largest_radius: float = LARGEST_RADIUS, most_pieces: int = MOST_PIECES
-) -> list[np.ndarray]:
-    """Return convex pieces (points (k, 3) each) whose union is the hull of points (n, 3)."""
+def cut_into_pieces(points: np.ndarray) -> list[np.ndarray]:
+    """Convex pieces (points (k, 3) each) whose union is the hull of points (n, 3)."""
     pieces = [convex_hull(points)]
     radii = [enclosing_sphere(pieces[0].corners)[1]]
-    while max(radii) > (largest_radius if len(pieces) < most_pieces else ANY_RADIUS):
+    while max(radii) > (LARGEST_RADIUS if len(pieces) < MOST_PIECES else ANY_RADIUS):
         widest = int(np.argmax(radii))
         radii.pop(widest)
         for half in _halves(pieces.pop(widest)):

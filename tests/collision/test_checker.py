@@ -83,9 +83,7 @@ CARRIED = (Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3), SPONGE)
     [
         (kitchen(door_angles={DOOR: DOOR_ANGLE}), 8000, (), 0.0),
         (kitchen(door_angles={DOOR: DOOR_ANGLE}), 3000, (carried_can(),), 0.0),
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 2000, (), 1e-4),
         (kitchen(door_angles={DOOR: DOOR_ANGLE}), 2000, (), 0.03),
-        (random_scene(0), 2000, (), 0.0),
         (random_scene(1), 2000, (carried_can(),), 0.0),
         (NOTHING, 2000, (), 0.0),
         (with_one_of_each(), 3000, (), 0.0),
@@ -93,7 +91,6 @@ CARRIED = (Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3), SPONGE)
     ],
 )
 def test_both_checkers_agree(panda, scene, count, attachments, margin):
-    """`cvqmpt bench collision --states 1000000` compares as many as one likes."""
     compare(panda, scene, count, attachments, margin)
 
 

@@ -251,10 +251,8 @@ def test_empty_scene_and_world_geometry():
     geometry = robot_geometry(robot, LINK, PAIRS)
     assert first_contact(R, p, geometry, empty, MARGIN) == (-1, -1)
     assert first_contact(R, p, geometry, wall, MARGIN)[1] == 0
-    nothing = robot_geometry(robot, LINK, [], obstacles_matter=[False] * 6)
-    assert first_contact(R, p, nothing, wall, MARGIN) == (-1, -1)
-    only_last = robot_geometry(robot, [0] * 6, [], obstacles_matter=[False] * 5 + [True])
-    assert first_contact(R, p, only_last, wall, MARGIN) == (5, 0)
+    fixed = robot_geometry(robot, [0] * 6, [])
+    assert first_contact(R, p, fixed, wall, MARGIN) == (-1, -1)
 
 
 def test_a_pose_that_is_not_finite_is_a_collision():
