@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,11 +19,11 @@ MOST_PARTS, ROUNDS = 8, 4  # Into how many a stretch is cut at once, and how oft
 
 @dataclass(frozen=True)
 class Violation:
-    """Largest distance outside the bounds of regions, at the states looked at."""
+    """Largest distance outside the bounds of regions, at the states checked."""
 
     radians: float  # [rad]
     metres: float  # [m]
-    largest: float  # Bound on either at any state, between those looked at too [m, rad]
+    largest: float  # Bound on either at any state, checked or not [m, rad]
     at: np.ndarray | None  # (n,), the worst state, or None without regions
 
 
@@ -31,8 +32,8 @@ def largest_violation(
 ) -> Violation:
     """How far straight joint motions through states (m, n), m >= 1, leave regions, by pinocchio.
 
-    Looks every `spacing` [rad], and closer where what may happen in between could exceed `tolerance` [m, rad], down to
-    a state that violates more than that.
+    Checks states every `spacing` [rad], and closer where the violation in between may exceed `tolerance` [m, rad],
+    until one state's violation does.
     """
     radians = metres = highest = 0.0
     at, most = None, -np.inf
@@ -74,8 +75,7 @@ def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return np.concatenate([states[:1], cut])
 
 
-@dataclass(frozen=True)
-class _Use:
+class _Use(NamedTuple):
     """A region along m states, and the m - 1 stretches between them."""
 
     x: np.ndarray  # (m, 6) displacements [m, rad]
@@ -84,12 +84,13 @@ class _Use:
     metres: float  # Largest of the positions [m]
     highest: np.ndarray  # (m - 1,) the larger `outside` of a stretch's ends [m, rad]
     between: np.ndarray  # (m - 1,) what may be added inside the stretch [m, rad]
-    flips: np.ndarray
-    """(m - 1,) bool, where the rotation vector may change its sign: what may be added is then of first order."""
+    flips: (
+        np.ndarray
+    )  # (m - 1,) bool, where the rotation vector may change its sign: `between` is then linear
 
 
 def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) -> _Use:
-    """What states q (m, n) with displacements x (m, 6) say of the region."""
+    """The region along states q (m, n) with displacements x (m, 6)."""
     (lower, upper), rows = region.Bw.T, region.bounded_rows
     excess = np.full_like(x, -np.inf)
     excess[:, rows] = np.maximum(lower - x, x - upper)[:, rows]

@@ -1,10 +1,9 @@
 """Inverse kinematics as projection: a pose is a task-space region whose bounds are all zero.
 
-Newton's method from random configurations serves any serial robot and needs no other code than
-the projection that the planners use.
+Newton's method from random configurations works for any serial robot, by the projection that the planners use.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,7 +75,7 @@ def first_guesses(
 
 @dataclass(frozen=True)
 class GoalSample:
-    """What sampling a goal region brought."""
+    """Result of sampling a goal region."""
 
     configurations: np.ndarray  # (k, n), free of collision [rad or m]
     poses_tried: int  # Poses drawn
@@ -85,7 +84,7 @@ class GoalSample:
 
     @property
     def outcome(self) -> str:
-        """Why there are no more."""
+        """Counts of poses that gave no configuration."""
         return (
             f"of {self.poses_tried} poses, {self.unreachable} without inverse kinematics, "
             f"{self.colliding} in collision"
@@ -111,7 +110,8 @@ def sample_region(
     while len(found) < count and tried < max_poses:
         poses = region.sample_poses(rng, min(POSES, max_poses - tried))
         guesses = first_guesses(robot, rng, len(poses), ATTEMPTS, near)
-        for candidates in _few_at_a_time(robot, poses, guesses, within, count):
+        few = (slice(first, first + count) for first in range(0, len(poses), count))  # no more than needed
+        for candidates in (one for part in few for one in _solved(robot, poses[part], guesses[part], within)):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
             if free is not None:
@@ -123,11 +123,3 @@ def sample_region(
                 break
     configurations = np.array(found).reshape(-1, robot.dof)
     return GoalSample(configurations, tried, unreachable, colliding)
-
-
-def _few_at_a_time(
-    robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion], few: int
-) -> Iterator[np.ndarray]:
-    """What `_solved` gives, worked out only for as many poses as are asked for, and a few more."""
-    for first in range(0, len(poses), few):
-        yield from _solved(robot, poses[first : first + few], guesses[first : first + few], within)

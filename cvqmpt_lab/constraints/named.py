@@ -24,7 +24,7 @@ class Upright:
     axis: Literal["x", "-x", "y", "-y", "z", "-z"] = "x"  # Axis of the end-effector frame
 
     def region(self) -> TaskSpaceRegion:
-        """In full."""
+        """The region in full."""
         return upright(self.tilt, self.axis)
 
 
@@ -37,14 +37,14 @@ def upper_axis(T_world_hand: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class FixedOrientation:
-    """The end effector is turned as said; its position is free."""
+    """The end effector has a fixed orientation; its position is free."""
 
     tolerance: Tolerance  # Of each entry of the rotation vector from that orientation [rad]
     rpy: Vector | None = None  # Roll, pitch, yaw about the world's x, y, z [rad]
     quaternion: tuple[float, float, float, float] | None = None  # The same as x, y, z, w
 
     def region(self) -> TaskSpaceRegion:
-        """In full."""
+        """The region in full."""
         there = Placement(rpy=self.rpy, quaternion=self.quaternion).matrix
         return _region(there, np.eye(4), [FREE] * 3 + [self.tolerance] * 3)
 
@@ -58,7 +58,7 @@ class Plane:
     tolerance: Tolerance = 0.0  # To both sides [m]
 
     def region(self) -> TaskSpaceRegion:
-        """In full."""
+        """The region in full."""
         return _region(_along(self.point, self.normal), np.eye(4), [FREE, FREE, self.tolerance] + [FREE] * 3)
 
 
@@ -71,7 +71,7 @@ class Line:
     tolerance: Tolerance = 0.0  # Across the line, in each of two directions [m]
 
     def region(self) -> TaskSpaceRegion:
-        """In full."""
+        """The region in full."""
         there = _along(self.point, self.direction)
         return _region(there, np.eye(4), [self.tolerance, self.tolerance, FREE] + [FREE] * 3)
 
@@ -86,7 +86,7 @@ class Near:
     yaw: Tolerance = 0.0  # About the world's vertical [rad]; 3.15 leaves it free
 
     def region(self) -> TaskSpaceRegion:
-        """In full."""
+        """The region in full."""
         turned = self.at.copy()
         turned[:3, 3] = 0.0
         bounds = [self.position] * 3 + [self.tilt] * 2 + [self.yaw]
@@ -143,14 +143,19 @@ class RegionForm:
             return from_plain(kind, value, where)
         if len(keys) > 1:
             raise InvalidInputError(f"{where} has {', '.join(keys)}; a region by name stands alone")
-        return self._named(keys[0], value[keys[0]], at(where, keys[0]))
+        kind, content, where = NAMED[keys[0]], value[keys[0]], at(where, keys[0])
+        if not isinstance(content, Mapping):
+            content = {next(iter(field_kinds(kind))): content}
+        named = from_plain(kind, content, where)
+        with located(where):
+            return named.region()
 
     def write(self, value: TaskSpaceRegion) -> Any:
-        """In full."""
+        """The region in full."""
         return to_plain(value)
 
     def schema(self, of: Schema) -> dict[str, Any]:
-        """All of them."""
+        """Schema of regions in full and by name."""
         regions = [of(TaskSpaceRegion), of(TaskSpaceRegionChain)]
         for name, kind in NAMED.items():
             first = next(iter(field_kinds(kind).values()))
@@ -159,15 +164,6 @@ class RegionForm:
                 {"type": "object", "properties": contents, "required": [name], "additionalProperties": False}
             )
         return {"anyOf": regions}
-
-    @staticmethod
-    def _named(name: str, content: Any, where: str) -> TaskSpaceRegion:
-        kind = NAMED[name]
-        if not isinstance(content, Mapping):
-            content = {next(iter(field_kinds(kind))): content}
-        named = from_plain(kind, content, where)
-        with located(where):
-            return named.region()
 
 
 Region = Annotated[TaskSpaceRegion, RegionForm()]

@@ -144,9 +144,7 @@ def project(
 ):
     """Move q (n,) in place onto the manifold and inside the joint limits.
 
-    Returns
-    -------
-    Newton iterations used, or -1 - iterations when |F| > tolerance after max_iterations.
+    Returns Newton iterations used, or -1 - iterations when |F| > tolerance after max_iterations.
     On success scratch holds the link poses of q, ready for a collision check.
     """
     return newton(kinematics, regions, q, tolerance, max_iterations, False, scratch)

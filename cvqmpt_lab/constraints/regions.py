@@ -174,10 +174,7 @@ def residual(regions, link_rotation, link_translation, out, displacement):
     """Write the residual (m,) into out; link poses come from forward_kinematics.
 
     displacement: (k, 9), end point in the world, position and rotation vector of each region, for `jacobian`.
-
-    Returns
-    -------
-    The squared norm of the residual.
+    Returns the squared norm of the residual.
     """
     m = regions.region.shape[0]
     first, square = 0, 0.0

@@ -54,12 +54,8 @@ class BoundsForm:
     def schema(self, of: Schema) -> dict[str, Any]:
         """Six pairs of numbers or null."""
         pair = {"type": "array", "items": {"type": ["number", "null"]}, "minItems": 2, "maxItems": 2}
-        return {
-            "type": "array",
-            "prefixItems": [{**pair, "title": row} for row in ROWS],
-            "minItems": 6,
-            "maxItems": 6,
-        }
+        rows = [{**pair, "title": row} for row in ROWS]
+        return {"type": "array", "prefixItems": rows, "minItems": 6, "maxItems": 6}
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +87,7 @@ class TaskSpaceRegion(Checked):
         """Poses T_world_e (count, 4, 4) drawn uniformly between the bounds; free turns within +-pi."""
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
-            raise InvalidInputError(
-                "cannot sample poses of a region whose position is unbounded: bound Bw rows 0-2"
-            )
+            raise InvalidInputError("cannot sample poses: the position is unbounded: bound Bw rows 0-2")
         lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
         x = np.empty((0, 6))
         for _ in range(1000):
@@ -104,7 +98,7 @@ class TaskSpaceRegion(Checked):
                 break
         else:
             raise InvalidInputError(
-                "cannot sample poses of a region whose rotation bounds lie beyond angle pi"
+                "cannot sample poses of a region: its rotation bounds lie beyond angle pi"
             )
         T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
         T_w_displaced[:, :3, :3] = rotation_matrices(x[:, 3:])
@@ -116,10 +110,9 @@ class TaskSpaceRegion(Checked):
 class TaskSpaceRegionChain(TaskSpaceRegion):
     """A region that hangs on a link which the robot moves (TSR chain): poses of e seen from a frame w of that link.
 
-    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
-    through one region to the end effector. Those joints are joints of the robot (see
-    `with_articulated_object`) and free within their limits.
-    `T0_w` is the pose of w in the base frame, so that `sample_poses` gives poses in the base frame too.
+    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and one region to the
+    end effector. The joints are the robot's (see `with_articulated_object`), free within their limits. `T0_w` is the
+    pose of w in the base frame: `sample_poses` gives poses in the base frame.
     """
 
     base: Name  # Name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
@@ -197,8 +190,8 @@ class RegionConstraint:
 def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:
     """Plain arrays of regions of the end effector.
 
-    shrink: bounds are moved inwards by this much [m, rad], at most to a tenth of their width: what planners
-    use, so that straight joint motions between two states on the rim stay inside.
+    shrink: bounds are moved inwards by this much [m, rad], at most a tenth of their width, so that straight joint
+    motions between two states at the bounds stay inside.
     """
     link, T_link_e = robot.end_effector_link
     references = [member.reference_link(robot) for member in members]

@@ -16,7 +16,6 @@ from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import (
     TOLERANCE,
     RegionConstraint,
-    TaskSpaceRegion,
     TaskSpaceRegionChain,
 )
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -146,15 +145,6 @@ def test_projection_lands_on_the_handle(door_robot):
         assert np.linalg.norm(x[:5]) <= TOLERANCE + 1e-9
         bar = np.linalg.inv(door_robot.pose(q)) @ door_robot.pose(q, BAR)
         np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, STANDOFF), atol=2e-4)
-
-
-def test_the_region_where_the_base_stands(door_robot):
-    chain = random_chain(np.random.default_rng(2), BAR)
-    q = door_robot.random_configurations(np.random.default_rng(3), 1)[0]
-    there = chain.at(door_robot.pose(q, BAR))
-    assert type(there) is TaskSpaceRegion
-    fixed, hanging = (RegionConstraint(door_robot, (member,)).residual(q) for member in (there, chain))
-    np.testing.assert_allclose(fixed, hanging, atol=1e-9)
 
 
 def test_goals_have_the_door_where_the_hand_takes_it(door):

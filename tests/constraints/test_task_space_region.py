@@ -190,20 +190,14 @@ def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows(value
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        *(({field: None}, f"region.{field} is missing") for field in ("T0_w", "Tw_e", "Bw")),
-        *(
-            ({field: np.diag([1.0, 1.0, -1.0, 1.0])}, f"region.{field} is no rigid pose: .* mirrored")
-            for field in ("T0_w", "Tw_e")
-        ),
-    ],
-)
-def test_missing_fields_and_frames_that_are_not_rigid_are_named(change, message):
-    data = to_plain(upright()) | change
-    with pytest.raises(InvalidInputError, match=message):
-        from_plain(Region, {key: value for key, value in data.items() if value is not None}, "region")
+@pytest.mark.parametrize("field", ["T0_w", "Tw_e", "Bw"])
+def test_missing_fields_and_frames_that_are_not_rigid_are_named(field):
+    data = to_plain(upright())
+    with pytest.raises(InvalidInputError, match=f"region.{field} is missing"):
+        from_plain(Region, {key: value for key, value in data.items() if key != field}, "region")
+    if field != "Bw":
+        with pytest.raises(InvalidInputError, match=f"region.{field} is no rigid pose: .* mirrored"):
+            from_plain(Region, data | {field: np.diag([1.0, 1.0, -1.0, 1.0])}, "region")
 
 
 def test_regions_are_read_only():
