@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     directories = committed_directories(args.results)
     found = {
         f"runs compared {mode}": runs,
-        f"tables of {len(directories)} results directories rendered anew": [
+        f"tables of {len(directories)} results directories rendered again": [
             line for folder in directories for line in differing_cells(folder)
         ],
         "commits and weights of their rows": [

@@ -20,7 +20,7 @@ PROJECT = "cvqmpt-lab"
 
 
 class Finding(NamedTuple):
-    """One thing that was looked at."""
+    """One thing that was checked."""
 
     what: str
     says: str
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look at everything; exit code 1 when something that planning needs is broken."""
+    """Check everything; exit code 1 when something that planning needs is broken."""
     found = [*_machine(), *_packages(), *_weights(), _kernels(), _display()]
     for what, says, cure, needed in found:
         state = "ok" if not cure else "BROKEN" if needed else "without"
@@ -66,7 +66,7 @@ def _packages() -> Iterator[Finding]:
 
 def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Finding:
     """What of the packages that are asked for is there, and how to get the rest."""
-    versions, unfit = [], []
+    versions, missing = [], []
     for item in asked:
         try:
             version = metadata.version(item.name)
@@ -74,9 +74,9 @@ def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Fi
             version = "MISSING"
         versions.append(f"{item.name} {version}")
         if version == "MISSING" or not item.specifier.contains(version, prereleases=True):
-            unfit.append(repr(str(item).partition(";")[0].strip()))
-    wanted = f"'{PROJECT}[{name}]'" if extra else " ".join(unfit)
-    cure = f"pip install {wanted}" if unfit else ""
+            missing.append(repr(str(item).partition(";")[0].strip()))
+    wanted = f"'{PROJECT}[{name}]'" if extra else " ".join(missing)
+    cure = f"pip install {wanted}" if missing else ""
     return Finding(f"[{name}]" if extra else name, ", ".join(versions), cure, needed=not extra)
 
 

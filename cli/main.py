@@ -27,7 +27,7 @@ COMMANDS = {
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
     "data": "make training paths",
     "train": "train the dictionary, the sequence model or MPNet",
-    "model": "look at weights, convert published ones",
+    "model": "show weights, convert published ones",
     "bench": "measure kernels, collision checks, planners and free motions",
     "warmup": "compile all kernels ahead of time",
     "doctor": "tell what is installed here, what is missing and how to get it",
@@ -61,7 +61,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class Version(argparse.Action):
-    """Print the version and leave; it is looked up only then."""
+    """Print the version and leave; it is read only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """Do it."""

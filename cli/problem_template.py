@@ -22,7 +22,7 @@ from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.query import Budget
 
 TILT = 0.3  # [rad]
-DRAWS = 2000  # configurations looked at for a start and a goal
+DRAWS = 2000  # configurations tried for a start and a goal
 APART = 0.3  # share of the robot's reach that start and goal are apart at least
 EFFORT = Budget(iterations=1000)  # of birrt, that a pair of them may take
 COMMENT = [

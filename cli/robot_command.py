@@ -26,7 +26,7 @@ EXAMPLES = (
     "cvqmpt robot arm.urdf --package-dir ~/ros/src --json",
     "cvqmpt robot arm.urdf --end-effector tool --srdf-out arm.srdf",
 )
-TRIED = 200  # random configurations, of which the share free of self-collision is told
+TRIED = 200  # random configurations, of which the share free of self-collision is printed
 NAMES = 8  # listed of many; --json lists all
 
 

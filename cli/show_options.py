@@ -18,7 +18,7 @@ FILMS = (".gif", ".mp4")
 
 def add_show(parser: argparse.ArgumentParser) -> None:
     """--picture, --save and --view."""
-    shown = parser.add_argument_group("what to look at")
+    shown = parser.add_argument_group("pictures")
     still = "a still picture: start, goal and the way between; of a task, the end of each phase"
     shown.add_argument("--picture", type=Path, metavar="P.png", help=still)
     film = "a rerun recording, or a film (mp4 where ffmpeg is installed)"

@@ -46,7 +46,7 @@ class Method:
         def build(robot: Robot, model: str) -> Stages:
             stages = self.build(robot, model)
             if not isinstance(stages.observe, Observer):
-                raise InvalidInputError(f"{self.name} does not look at a cloud: leave the cloud out")
+                raise InvalidInputError(f"{self.name} uses no cloud: leave the cloud out")
             cloud = stages.observe.of_points(points)
             return replace(stages, observe=lambda scene: cloud)
 

@@ -31,7 +31,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
 
     The first time two processes share the work.
 
-    announce: told beforehand when something is not compiled yet, because that takes about a minute.
+    announce: called before anything is compiled, which takes about a minute.
     """
     began = time.perf_counter()
     if not compiled_before(everything=True):
@@ -69,7 +69,7 @@ def warm_up(
     Nothing of the problem itself is computed or remembered, so that solving it afterwards takes, and reports, what
     it takes in a process that has planned before. The certificate is left out: nobody is charged for it.
 
-    announce: told beforehand when nothing is compiled yet, because that takes a while.
+    announce: called before anything is compiled, which takes a while.
     """
     if announce is not None and not compiled_before():
         announce("compiling kernels, once per machine and version ...")

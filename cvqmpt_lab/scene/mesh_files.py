@@ -72,7 +72,7 @@ def _as_stl(data: bytes) -> bytes:
 
 
 CLEANED: Mapping[str, Callable[[bytes], bytes]] = {"stl": _as_stl, "obj": _as_utf8, "dae": bytes}
-"""What is checked or mended before the parser sees a file."""
+"""What is checked or repaired before the parser sees a file."""
 
 
 def _metres(data: bytes) -> float:

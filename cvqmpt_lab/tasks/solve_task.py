@@ -168,8 +168,8 @@ class _Run:
         problem = step.world.problem(self.task, step.phase)
         earlier, seconds = self.attempts.get(step.number, ()), step.goal_seconds
         step.goal_seconds = 0.0
-        unfit = self.method.incompatibility(problem)
-        fallback = f"{SUBSTITUTE}: {unfit}" if unfit else ""
+        incompatible = self.method.incompatibility(problem)
+        fallback = f"{SUBSTITUTE}: {incompatible}" if incompatible else ""
         reason = step.reason
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))

@@ -189,7 +189,7 @@ def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_pa
     assert main([*words, "--update"]) == 0 and main(words) == 0
     out = capsys.readouterr().out
     assert "runs compared exactly" in out
-    assert "tables of 1 results directories rendered anew: no difference" in out
+    assert "tables of 1 results directories rendered again: no difference" in out
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BrokenBiRRT()))
     assert main(words) == 1
     assert f"  differs: {FEW[0]}: fail_reason was None" in capsys.readouterr().out
