@@ -55,7 +55,7 @@ def test_a_given_cloud_wins_over_the_scenes(problem):
 
 def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem):
     blind = Method.simple("blind")
-    with pytest.raises(InvalidInputError, match="blind does not look at a cloud"):
+    with pytest.raises(InvalidInputError, match="blind uses no cloud"):
         blind.with_cloud(POINTS).stages(problem)
     with pytest.raises(InvalidInputError, match="none of the cloud's 5000 points"):
         Observer().of_points(POINTS + 9.0)
