@@ -20,7 +20,7 @@ from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.suite import SUITES, suite_named

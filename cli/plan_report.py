@@ -9,7 +9,7 @@ from cvqmpt_lab.constraints.report import BoundUse, bound_usage
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import Improvement
-from cvqmpt_lab.search.query import PlanStatus
+from cvqmpt_lab.search.result import PlanStatus
 
 
 def uses_of(solution: Solution) -> tuple[BoundUse, ...]:

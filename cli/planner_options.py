@@ -5,7 +5,7 @@ import argparse
 from cli.options import positive, positive_int
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import PLANNERS
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 
 

@@ -19,7 +19,7 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 
 TILT = 0.3  # [rad]
 DRAWS = 2000  # configurations tried for a start and a goal

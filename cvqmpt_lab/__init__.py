@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "Budget": "search.query",
+    "Budget": "search.result",
     "GaussianMixture": "search.query",
     "Method": "planners",
     "PLANNERS": "planners",

@@ -13,7 +13,7 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.motion_proof import MotionProof, prove_free
 from cvqmpt_lab.constraints.between_states import largest_violation
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 
 SPACING = 0.11  # [rad] between states at which the constraint is evaluated first
 TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too

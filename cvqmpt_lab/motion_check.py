@@ -13,7 +13,7 @@ from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 from cvqmpt_lab.trajectory.trajectory_files import Motion
 

@@ -17,16 +17,8 @@ from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
-from cvqmpt_lab.search.query import (
-    Budget,
-    Counters,
-    JointPath,
-    Observation,
-    PlanResult,
-    PlanStatus,
-    Query,
-    search,
-)
+from cvqmpt_lab.search.query import Observation, Query, search
+from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 

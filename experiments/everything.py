@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from experiments.run import Experiment
 from experiments.suites.suite import SUITES, Suite
 

@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, StoredPaths
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.sensor_task import SensedProblem

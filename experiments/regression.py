@@ -17,7 +17,7 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from experiments.rows import Run, result_row
 from experiments.suites.suite import suite_named
 from paper_tables.paper_numbers import PUBLISHED

@@ -17,7 +17,7 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.search.anytime import check_units
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest

@@ -9,7 +9,7 @@ from cvqmpt_lab.certificate import TOLERANCE, certify
 from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 
 
 @pytest.fixture

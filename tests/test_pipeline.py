@@ -6,7 +6,7 @@ import pytest
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, solve_many
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)

@@ -9,7 +9,7 @@ from cvqmpt_lab.planners import CONTROLS, PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 
 NEEDY = [name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is not None]
 

@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.processes import end_with_parent, one_thread
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 
 
 @pytest.mark.parametrize(("off", "code"), [(0, 0), (1, 1)])

@@ -18,7 +18,7 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
 from cvqmpt_lab.search.motion import motion_free
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE, FULL_SCALE, packed_shard

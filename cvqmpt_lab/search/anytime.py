@@ -10,7 +10,8 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Budget, Deadline, JointPath, SamplingDistribution, Search, Uniform
+from cvqmpt_lab.search.query import Deadline, SamplingDistribution, Search, Uniform
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import SWEEP, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 

@@ -26,7 +26,8 @@ from cvqmpt_lab.search.nearest import (
     nearest_index,
     nearest_node,
 )
-from cvqmpt_lab.search.query import Budget, JointPath, PlanResult, PlanStatus, SamplingDistribution, Tree
+from cvqmpt_lab.search.query import SamplingDistribution
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 GROWING, CONNECTED, FULL = range(3)

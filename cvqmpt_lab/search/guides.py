@@ -6,14 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import (
-    GaussianMixture,
-    JointPath,
-    Observation,
-    Proposal,
-    Query,
-    SamplingDistribution,
-)
+from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query, SamplingDistribution
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 

@@ -7,15 +7,8 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.search import lazy_roadmap as kernels
-from cvqmpt_lab.search.query import (
-    Deadline,
-    GaussianMixture,
-    JointPath,
-    Observation,
-    Proposal,
-    Query,
-    Timings,
-)
+from cvqmpt_lab.search.query import Deadline, GaussianMixture, Observation, Proposal, Query
+from cvqmpt_lab.search.result import JointPath, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, without_cloud
 

@@ -9,7 +9,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.search.motion import Space, bisect_motion, distance, segment_valid
-from cvqmpt_lab.search.query import Counters, JointPath
+from cvqmpt_lab.search.result import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces

@@ -23,7 +23,7 @@ from cvqmpt_lab.search.motion import (
     refine_and_check,
     valid_one,
 )
-from cvqmpt_lab.search.query import Counters, JointPath
+from cvqmpt_lab.search.result import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
 

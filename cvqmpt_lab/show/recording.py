@@ -20,7 +20,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Shape, Sphere
-from cvqmpt_lab.search.query import JointPath, Tree
+from cvqmpt_lab.search.result import JointPath, Tree
 from cvqmpt_lab.show.curves import Plot, plots_along
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,

@@ -13,7 +13,7 @@ from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.query import Budget, JointPath, PlanStatus
+from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.tasks.phase_goals import following, phase_goals, prepare, world_before
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World

@@ -19,7 +19,8 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import JointPath, Observation, PlanStatus, Proposal, Query, Timings
+from cvqmpt_lab.search.query import Observation, Proposal, Query
+from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
 from cvqmpt_lab.search.space import direct_motion
 from cvqmpt_lab.vqmpt.config import MPNetConfig, checked_cloud
 from cvqmpt_lab.vqmpt.weights import StoredModel

@@ -14,7 +14,8 @@ import numpy as np
 from cvqmpt_lab.jit import entry
 from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
 from cvqmpt_lab.search.motion import distance
-from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query, Timings
+from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query
+from cvqmpt_lab.search.result import Timings
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_features, sphere_cells
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel

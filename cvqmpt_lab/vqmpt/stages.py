@@ -17,15 +17,14 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.guides import UnconstrainedPath
 from cvqmpt_lab.search.query import (
     GaussianMixture,
-    JointPath,
     Observation,
     Proposal,
     Query,
     SamplingDistribution,
     Stages,
-    Timings,
     widened,
 )
+from cvqmpt_lab.search.result import JointPath, Timings
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings

@@ -25,7 +25,7 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.calibration import Calibration, calibrate
 from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view

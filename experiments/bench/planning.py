@@ -16,7 +16,8 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search import birrt as kernels
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Budget, Observation, PlanStatus, Query, Uniform
+from cvqmpt_lab.search.query import Observation, Query, Uniform
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer

@@ -20,7 +20,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.query import Budget, Observation, Query
+from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.sampler import CodeProposal

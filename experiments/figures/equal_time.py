@@ -10,7 +10,7 @@ from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, mean_of_solved, median_interval
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from experiments.figures.drawing import Panel, panels_figure, save_figure, write_csv
 from paper_tables.measures import REFERENCE
 

@@ -15,7 +15,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, natural_key, read_rows
 from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Budget, Uniform
+from cvqmpt_lab.search.query import Uniform
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.figures.drawing import Panel, panels_figure, save_figure, write_csv
 from experiments.suites.suite import suite_named

@@ -9,10 +9,11 @@ import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
-from cvqmpt_lab.search.query import Budget, JointPath
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
 from experiments.run import Experiment, executor_for, run_experiment
@@ -71,6 +72,33 @@ def test_paths_in_every_form_are_certified(judged, states, region_problem):
     assert found["min_clearance_m"] > 0.0 and found["states_checked"] > 10
 
 
+def until(state, direction, reached):
+    """The state moved by up to 0.6 rad along a direction, as far as it takes until `reached(q)`."""
+    low, high = 0.0, 0.6
+    assert reached(state + high * direction) and not reached(state)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if reached(state + middle * direction) else (middle, high)
+    return state + high * direction
+
+
+def tilted(problem, states):
+    """The hand of one state tilts by 0.101 rad; its neighbours are as they were."""
+    region, bent = problem.constraint[0], states.copy()
+    tilt = lambda q: np.abs(displacements(problem.robot, region, q[None])[0, region.bounded_rows]).max()  # noqa: E731
+    bent[MIDDLE] = until(states[MIDDLE], np.eye(7)[6], lambda q: tilt(q) >= 0.101)
+    assert tilt(bent[MIDDLE]) == pytest.approx(0.101, abs=1e-6)
+    return bent
+
+
+def inside_by_1_mm(problem, states):
+    """One state leans to the side until it is 1 mm inside something."""
+    checker, moved = problem.collision_checker(), states.copy()
+    q = next(k for k in range(20, len(states)) if checker.clearance(states[k] + 0.6 * np.eye(7)[0]) < -1e-3)
+    moved[q] = until(states[q], np.eye(7)[0], lambda q: checker.clearance(q) <= -1e-3)
+    return moved
+
+
 def changed(states, index, by):
     tampered = states.copy()
     tampered[index] = tampered[index] + by
@@ -84,7 +112,8 @@ def beyond_limit(problem, states):
 
 
 TAMPERED = {
-    "a tilt": (lambda p, s: changed(s, MIDDLE, 0.2 * np.eye(7)[6]), "manifold", MIDDLE),
+    "a tilt of 0.101 rad": (tilted, "manifold", MIDDLE),
+    "a state 1 mm inside a shelf": (inside_by_1_mm, "collision", None),
     "a limit passed by 1e-3": (beyond_limit, "limits", MIDDLE),
     "a jump": (lambda p, s: np.delete(s, range(MIDDLE, MIDDLE + 12), axis=0), "step", MIDDLE - 1),
     "a state repeated later": (lambda p, s: np.insert(s, 52, s[MIDDLE], axis=0), "step", 52),

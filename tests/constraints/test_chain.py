@@ -27,7 +27,7 @@ from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.search.query import Budget, JointPath
+from cvqmpt_lab.search.result import Budget, JointPath
 from experiments.suites.door_task import (
     BAR,
     OPEN,

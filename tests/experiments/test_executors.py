@@ -13,7 +13,7 @@ from made_rows import untimed
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.results.row import FailReason
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from experiments import executors
 from experiments import run as runner
 from experiments.executors import Lost, dask_cluster, local_processes

@@ -11,7 +11,8 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.query import Budget, PlanStatus, Proposal, Timings
+from cvqmpt_lab.search.query import Proposal
+from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import edge_model
 from experiments.rows import Run, failed_rows, outcome_of, result_row
 from experiments.suites.multi_sequence import multi_sequence_task

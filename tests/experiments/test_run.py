@@ -13,7 +13,7 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceErr
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments import run as runner
 from experiments.run import Experiment, executor_for, run_experiment, weights_of

@@ -36,7 +36,7 @@ from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.tasks.task import Task

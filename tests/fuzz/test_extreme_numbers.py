@@ -13,7 +13,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
-from cvqmpt_lab.search.query import Budget, PlanStatus
+from cvqmpt_lab.search.result import Budget, PlanStatus
 
 LONGEST = 10.0  # [s] of processor time of a plan, all its stages included
 READY = np.array([0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8])

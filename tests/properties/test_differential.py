@@ -13,7 +13,7 @@ from cvqmpt_lab.constraints.report import bound_usage
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.search.query import Budget, JointPath
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path

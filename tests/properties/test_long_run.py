@@ -37,7 +37,7 @@ def live(plans):
 
     from cvqmpt_lab.pipeline import solve, with_sampled_goals
     from cvqmpt_lab.planners import PLANNERS
-    from cvqmpt_lab.search.query import Budget
+    from cvqmpt_lab.search.result import Budget
 
     problems = [with_sampled_goals(problem)[0] for problem, _, _ in islice(tuning_problems(3, 1), 3)]
     work = [(planner, problem) for problem in problems for planner in PLANNERS]

@@ -17,7 +17,7 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 ROOT = Path(__file__).resolve().parents[2]

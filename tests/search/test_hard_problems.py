@@ -10,7 +10,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.goals import sample_goals
-from cvqmpt_lab.search.query import Budget, PlanStatus
+from cvqmpt_lab.search.result import Budget, PlanStatus
 
 HALF = 0.85  # [m] from the base to the walls
 

@@ -8,7 +8,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
-from cvqmpt_lab.search.query import Budget, Deadline, GaussianMixture, PlanStatus, Uniform
+from cvqmpt_lab.search.query import Deadline, GaussianMixture, Uniform
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapPath,

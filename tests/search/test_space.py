@@ -12,7 +12,7 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from cvqmpt_lab.search.query import Budget, PlanStatus
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
 
 MARGIN = SpaceSettings().margin

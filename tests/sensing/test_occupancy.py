@@ -12,7 +12,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map

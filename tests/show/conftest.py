@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 

@@ -13,7 +13,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.search.query import JointPath
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show import viewer
 from cvqmpt_lab.show.curves import bound_plots, clearance_plot
 from cvqmpt_lab.show.picture import draw_solution

@@ -11,7 +11,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planners import PLANNERS, Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve_task import solve_task
 from experiments.rows import Run, phase_rows
 

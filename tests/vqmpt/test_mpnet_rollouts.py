@@ -9,7 +9,7 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.search.query import Budget, PlanStatus
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig

@@ -7,7 +7,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.search.query import Budget, Observation, Query
+from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.sampler import CodeSequences, SequenceSettings
 from cvqmpt_lab.vqmpt.stages import POINTS, code_roadmap, edge_model, observer

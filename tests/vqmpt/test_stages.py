@@ -7,7 +7,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import CONTROLS, REMOVED, planner_named
-from cvqmpt_lab.search.query import Budget, PlanStatus
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)

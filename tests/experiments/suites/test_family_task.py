@@ -6,7 +6,7 @@ import pytest
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.search.motion import motion_free
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.family_task import family_problem
 from experiments.suites.suite import suite_named

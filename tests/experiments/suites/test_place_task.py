@@ -8,7 +8,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import check_problem
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from experiments.suites.place_task import (
     ENVIRONMENTS,
     GOALS,

@@ -9,7 +9,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
-from cvqmpt_lab.search.query import Budget
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
 from experiments.suites.place_task import UnsolvableProblem

@@ -1,0 +1,111 @@
+"""What a planning run gives back: status, path, counts, times."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+
+
+class PlanStatus(StrEnum):
+    """How a planning run ended. Everything but SOLVED is a failure with that reason."""
+
+    SOLVED = "solved"
+    TIMEOUT = "timeout"
+    ITERATION_LIMIT = "iteration_limit"
+    NO_GOAL = "no_goal"
+    INVALID_START = "invalid_start"
+    INVALID_GOAL = "invalid_goal"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to give up: after seconds, after iterations (bit-for-bit repeatable), or whichever is first."""
+
+    seconds: float | None = None
+    iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is None and self.iterations is None:
+            raise InvalidInputError("a budget needs seconds, iterations or both")
+        for name in ("seconds", "iterations"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InvalidInputError(f"budget {name} must be positive, not {value}")
+
+
+@dataclass(frozen=True)
+class Counters:
+    """Work done, in machine-independent units."""
+
+    projections: int = 0
+    newton_iterations: int = 0
+    state_checks: int = 0
+    iterations: int = 0
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Parts of a planning run that are not search [s]; None where a planner has no such part."""
+
+    encode: float | None = None  # from the point cloud to what the network keeps of it
+    predict: float | None = None  # from start and goals to configurations or distributions
+    optimize: float | None = None  # moving those towards the constraint
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not 0.0 <= value < np.inf:
+                raise InvalidInputError(f"timing {name!r} is {value}; give seconds, 0 or more, or None")
+
+    @property
+    def total(self) -> float:
+        """Their sum [s]."""
+        return sum(value for value in vars(self).values() if value is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """A motion: straight joint segments between states."""
+
+    states: np.ndarray  # (m, n), m >= 2 [rad or m]
+
+    @property
+    def length(self) -> float:
+        """Sum of Euclidean distances between neighbouring states [rad]."""
+        return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
+
+    def spaced(self, spacing: float) -> np.ndarray:
+        """States (k, n), k >= 2, evenly along the path and at most `spacing` [rad] of it apart, ends included."""
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))])
+        marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
+        return np.stack([np.interp(marks, along, joint) for joint in self.states.T], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """What a search has grown from one or several roots."""
+
+    nodes: np.ndarray  # (k, n) [rad or m]
+    parent: np.ndarray  # (k,) index of each node's parent, -1 for roots
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """Outcome of one planner run."""
+
+    status: PlanStatus
+    path: JointPath | None  # None unless the status is SOLVED
+    seconds: float  # wall time of the whole run, networks included
+    counters: Counters
+    vertices: int  # nodes in all trees
+    sampler: str  # name of the distribution used
+    trees: tuple[Tree, ...] = ()
+    detail: str = ""  # a few words more, e.g. about a failure
+    fallback: str = ""  # what found the path if not what the planner's name promises, and why, or ""
+    timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
+
+    @property
+    def search_seconds(self) -> float:
+        """Wall time without that of `timings`."""
+        return max(0.0, self.seconds - self.timings.total)
