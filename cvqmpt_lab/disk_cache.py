@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import io
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import cache_folder, make_folder, replacing
+from cvqmpt_lab.files import cache_folder, replacing, trusted_cache, written_by_owner_only
 
 MOST = 256  # files of one kind; the oldest are deleted first
 
@@ -32,18 +33,37 @@ def cached_arrays(
 
     kind: folder of the cache. made_of: all that the arrays depend on, the sources that make them included.
     """
-    path = cache_folder() / kind / f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
+    name = f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
     with (
         contextlib.suppress(OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile),
-        np.load(path) as found,
+        np.load(io.BytesIO(read_cached(kind, name)), allow_pickle=False) as found,
     ):
         return dict(found)
     made: dict[str, Any] = dict(make())
-    with contextlib.suppress(InvalidInputError):  # no writable cache: made again the next time
-        make_folder(path.parent)
-        with replacing(path) as temporary, temporary.open("wb") as handle:
-            np.savez(handle, **made)
-        with contextlib.suppress(OSError):  # another process may delete them, too
-            for old in sorted(path.parent.glob("*.npz"), key=lambda p: p.stat().st_mtime_ns)[:-MOST]:
-                old.unlink()
+    written = io.BytesIO()
+    np.savez(written, **made)
+    write_cached(kind, name, written.getvalue())
     return made
+
+
+def read_cached(kind: str, name: str) -> bytes:
+    """A file of the cache, in the folder `kind`; OSError if there is none that only the user could have written."""
+    folder = trusted_cache(cache_folder() / kind)
+    if folder is None:
+        raise FileNotFoundError(name)
+    return (folder / name).read_bytes()
+
+
+def write_cached(kind: str, name: str, data: bytes) -> None:
+    """Keep a file in the cache if there is a place for it; of more than MOST files the oldest are deleted."""
+    folder = trusted_cache(cache_folder() / kind)
+    if folder is None:
+        return
+    with contextlib.suppress(InvalidInputError):  # no writable cache: made again the next time
+        with written_by_owner_only(), replacing(folder / name) as temporary:
+            temporary.write_bytes(data)
+        with contextlib.suppress(OSError):  # another process may delete them, too
+            for old in sorted(folder.glob(f"*{Path(name).suffix}"), key=lambda p: p.stat().st_mtime_ns)[
+                :-MOST
+            ]:
+                old.unlink()

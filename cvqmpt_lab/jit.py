@@ -13,7 +13,6 @@ instruction (a quarter of forward kinematics).
 
 import contextlib
 import functools
-import os
 import pickle
 import re
 import shutil
@@ -26,12 +25,12 @@ from typing import Any, ClassVar, NamedTuple, get_type_hints
 import numpy as np
 from llvmlite import ir
 from numba import config, from_dtype, njit, types
-from numba.core.caching import UserProvidedCacheLocator
+from numba.core.caching import FunctionCache, UserProvidedCacheLocator
 from numba.extending import intrinsic
 
 from cvqmpt_lab.disk_cache import sources_digest
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import cache_folder
+from cvqmpt_lab.files import cache_folder, named_folder, trusted_cache, written_by_owner_only
 
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "no_cfunc_wrapper": True, "_nrt": False}
 INLINE: dict[str | None, dict] = {None: {}, "machine": {"forceinline": True}, "source": {"inline": "always"}}
@@ -46,17 +45,13 @@ SOURCES = sources_digest(*FILES)
 
 @functools.cache
 def folder() -> Path | None:
-    """A writable folder for machine code of these sources, or None with a warning."""
-    place = Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()).expanduser() / SOURCES
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-        place.touch()
+    """The folder for machine code of these sources, or None; one that cannot be written may have been filled before."""
+    place = trusted_cache(named_folder("NUMBA_CACHE_DIR", cache_folder()) / SOURCES)
+    if place is not None:
+        with contextlib.suppress(OSError):
+            place.touch()
         forget_unused(place.parent)
-        return place
-    except OSError as error:
-        message = f"kernel cache {place} is not writable ({error.strerror}): every process compiles for half a minute; "
-        warnings.warn(message + "set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
-        return None
+    return place
 
 
 def forget_unused(place: Path, kept: int = VERSIONS) -> None:
@@ -80,7 +75,8 @@ def compile_all(first: int = 0, stride: int = 1) -> None:
     for compiled in Entry.all[first::stride]:
         _ = compiled.unchecked
     if (place := folder()) is not None and stride == 1:
-        (place / "complete").touch()
+        with contextlib.suppress(OSError), written_by_owner_only():
+            (place / "complete").touch()
 
 
 class Locator(UserProvidedCacheLocator):
@@ -90,6 +86,38 @@ class Locator(UserProvidedCacheLocator):
     def get_suitable_cache_subpath(cls, py_file: str) -> str:
         """No folder of its own for each folder of sources."""
         return ""
+
+    def ensure_cache_path(self) -> None:
+        """Nothing: numba would not read a folder that it cannot write."""
+
+
+class _Cache(FunctionCache):
+    """Machine code of one entry on disk. What cannot be read is compiled, what cannot be written is not kept."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The machine code for a signature, or None."""
+        try:
+            return super().load_overload(sig, target_context)
+        except (OSError, EOFError, pickle.UnpicklingError):  # files damaged when the machine went down
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep machine code for a signature."""
+        try:
+            with written_by_owner_only():
+                super().save_overload(sig, data)
+        except OSError as error:
+            _warn_not_kept(error.strerror)
+
+
+@functools.cache
+def _warn_not_kept(why: str) -> None:
+    message = (
+        f"machine code cannot be kept in {folder()} ({why}): every process compiles for up to half a minute; "
+    )
+    warnings.warn(message + "set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
 
 
 def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:
@@ -120,7 +148,7 @@ class Entry:
         if folder() is not None:
             before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
             config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder()), f"{__name__}.Locator"
-            self.dispatcher.enable_caching()
+            self.dispatcher._cache = _Cache(function)
             config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = before
         Entry.all.append(self)
 
@@ -131,15 +159,7 @@ class Entry:
     @functools.cached_property
     def unchecked(self) -> Callable:
         """Its machine code, for callers that have checked the shapes: the check costs some microseconds."""
-        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
-        for _ in range(8):
-            try:
-                return self.dispatcher.compile(signature)
-            except (EOFError, pickle.UnpicklingError):  # files damaged when the machine went down
-                shutil.rmtree(str(folder()), ignore_errors=True)
-            except OSError:  # the disk is full: what was compiled stays in memory
-                continue
-        return self.dispatcher.compile(signature)
+        return self.dispatcher.compile(tuple(_numba_type(form) for form in _forms(self.py_func)))
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code, or raise InvalidInputError that names the array at fault."""

@@ -2,11 +2,16 @@
 
 import os
 import pickle
+import tempfile
+import threading
+from pathlib import Path
 
 import pytest
 
+from cvqmpt_lab import files
 from cvqmpt_lab.errors import LONGEST_LINE, InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import (
+    cache_folder,
     json_value,
     locked,
     make_folder,
@@ -15,6 +20,7 @@ from cvqmpt_lab.files import (
     read_text,
     replacing,
     require_regular_file,
+    trusted_cache,
     write_bytes,
     write_text,
 )
@@ -107,3 +113,59 @@ def test_an_error_is_one_printable_line_that_keeps_its_end(error):
 def test_an_error_of_a_worker_arrives(error):
     arrived = pickle.loads(pickle.dumps(error))
     assert type(arrived) is type(error) and str(arrived) == str(error)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """A cache folder with one file, made with a umask that lets the group write; nothing was warned of yet."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    monkeypatch.setattr(files, "_WARNED", threading.Event())
+    before = os.umask(0o002)
+    place = trusted_cache(tmp_path / "own" / "cache" / "things")
+    os.umask(before)
+    assert place == tmp_path / "own" / "cache" / "things"
+    (place / "file").touch(0o644)
+    return place
+
+
+@pytest.mark.parametrize(("folder", "mode"), [("", 0o755), ("", 0o555), ("../..", 0o1777), ("..", 0o700)])
+def test_a_cache_that_only_its_user_can_change_is_used(cache, recwarn, folder, mode):
+    (cache / folder).chmod(mode)
+    assert trusted_cache(cache) == cache and not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("path", "mode"),
+    [("", 0o777), ("", 0o775), ("", 0o1777), ("..", 0o777), ("../..", 0o770), ("file", 0o664)],
+)
+def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_warning(
+    cache, recwarn, path, mode
+):
+    (cache / path).chmod(mode)
+    instead = trusted_cache(cache)
+    assert instead == trusted_cache(cache) and str(instead).startswith(tempfile.gettempdir())
+    assert instead.stat().st_mode & 0o022 == 0 and list(instead.iterdir()) == []
+    (told,) = recwarn.list
+    assert "others can write" in str(told.message) and str(instead) in str(told.message)
+    instead.chmod(0o777)
+    assert trusted_cache(cache) is None and len(recwarn.list) == 1
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give files away")
+@pytest.mark.parametrize("path", ["", "file", ".."])
+def test_what_belongs_to_another_user_is_not_used(cache, recwarn, path):
+    os.chown(cache / path, 12345, -1)
+    assert trusted_cache(cache) != cache and "another user (id 12345)" in str(recwarn.list[0].message)
+
+
+@pytest.mark.parametrize(("named", "kept"), [("", "~/.cache"), ("here", "here"), ("/a/b", "/a/b")])
+def test_the_cache_lies_where_the_environment_says(tmp_path, monkeypatch, named, kept):
+    monkeypatch.setenv("XDG_CACHE_HOME", named)
+    monkeypatch.chdir(tmp_path)
+    assert cache_folder() == tmp_path / Path(kept).expanduser() / "cvqmpt_lab"
+
+
+def test_a_cache_of_nobody_is_refused(monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "~nouser/x")
+    with pytest.raises(InvalidInputError, match="XDG_CACHE_HOME: no folder '~nouser/x'"):
+        cache_folder()

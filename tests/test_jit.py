@@ -120,21 +120,57 @@ def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_pa
 PROJECT = """
 import numpy as np
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.jit import Entry, folder
 from cvqmpt_lab.robot.loading import panda
 print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)
+print(sum(sum(entry.dispatcher.stats.cache_hits.values()) for entry in Entry.all), folder())
+"""
+
+READ_ONLY = """
+import os, sys
+def refuse_to_write(event, arguments):  # rights do not bind root, who may run the tests
+    if event in ("open", "os.mkdir", "os.rename", "os.utime", "os.remove") and str(arguments[0]).startswith(WARM):
+        if event != "open" or arguments[2] & (os.O_WRONLY | os.O_RDWR):
+            raise PermissionError(13, "Permission denied")
+sys.addaudithook(refuse_to_write)
+os.access = lambda path, mode: False
 """
 
 
-def test_damaged_machine_code_is_compiled_anew(tmp_path):
-    def run():
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-        return subprocess.run(
-            [sys.executable, "-c", PROJECT], env=environment, capture_output=True, text=True, check=True
-        ).stdout
+@pytest.fixture
+def project(tmp_path):
+    """Runs PROJECT, after other code, with a cache folder; returns shape, entries read, folder used, warnings."""
 
-    whole = run()
+    def run(before=""):
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "warm"), "TMPDIR": str(tmp_path)}
+        command = [sys.executable, "-c", before.replace("WARM", repr(str(tmp_path / "warm"))) + PROJECT]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        shape, used = done.stdout.splitlines()
+        count, place = used.split(" ", 1)
+        return shape, int(count), place, [line for line in done.stderr.splitlines() if "Warning" in line]
+
+    return run
+
+
+def test_machine_code_is_read_where_nothing_can_be_written_and_not_where_others_can_write(tmp_path, project):
+    shape, _, place, _ = project()
+    files = sorted(tmp_path.rglob("*.nb?"))
+    assert files and project(READ_ONLY) == (shape, len(files) // 2, place, [])
+    for file in files[::2]:
+        file.unlink()
+    again, count, _, told = project(READ_ONLY)
+    assert again == shape and len(told) == 1 and "cannot be kept" in told[0]
+    (tmp_path / "warm").chmod(0o777)
+    again, count, instead, told = project()
+    assert (again, count) == (shape, 0) and len(told) == 1 and "others can write" in told[0]
+    assert instead != place and project()[1] == len(files) // 2
+
+
+def test_damaged_machine_code_is_compiled_anew(tmp_path, project):
+    whole = project()
     files = list(tmp_path.rglob("*.nb?"))
     for file in files:
         file.write_bytes(file.read_bytes()[: 0 if file.suffix == ".nbi" else 1000])
-    assert files and run() == whole
+    assert files and project()[0] == whole[0]
     assert all(file.stat().st_size > 1000 for file in tmp_path.rglob("*.nbc"))
+    assert project()[1] == len(files) // 2

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.disk_cache import read_cached, write_cached
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import cache_folder, make_folder, read_text, write_text
+from cvqmpt_lab.files import cache_folder, read_text
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry
 
@@ -41,13 +42,10 @@ def left_out_pairs(
     if srdf is not None:
         return read_srdf(srdf)
     cached = cache_file(model, links)
-    try:
-        return read_srdf(cached)
-    except InvalidInputError:  # not there yet, or damaged
-        found = sampled_pairs(model, geometry, links, kinematics)
-    with contextlib.suppress(InvalidInputError):  # no writable cache: sampled again the next time
-        make_folder(cached.parent)
-        write_text(cached, srdf_text(model.name, found))
+    with contextlib.suppress(OSError, ValueError, InvalidInputError):  # not there yet, or damaged
+        return srdf_pairs(read_cached(cached.parent.name, cached.name).decode(), cached)
+    found = sampled_pairs(model, geometry, links, kinematics)
+    write_cached(cached.parent.name, cached.name, srdf_text(model.name, found).encode())
     return found
 
 
@@ -166,7 +164,11 @@ class _Sampling:
 # SRDF files.
 def read_srdf(path: Path) -> tuple[LeftOut, ...]:
     """The pairs that an SRDF file leaves out; InvalidInputError names a file that is none."""
-    text = read_text(path, "SRDF file")
+    return srdf_pairs(read_text(path, "SRDF file"), path)
+
+
+def srdf_pairs(text: str, path: Path) -> tuple[LeftOut, ...]:
+    """The pairs that the text of an SRDF file leaves out; errors name its path."""
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:

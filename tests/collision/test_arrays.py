@@ -1,7 +1,12 @@
 """The collision arrays of robots, kept on disk."""
 
-import numpy as np
+import tempfile
+import threading
 
+import numpy as np
+import pytest
+
+from cvqmpt_lab import files
 from cvqmpt_lab.collision import arrays, geometry
 from cvqmpt_lab.collision.arrays import stored_robot_geometry
 from cvqmpt_lab.collision.primitives import ShapeSpec
@@ -21,6 +26,7 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is
     tmp_path, monkeypatch
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     made = []
     monkeypatch.setattr(arrays, "robot_geometry", lambda *a: made.append(a) or geometry.robot_geometry(*a))
     first = stored_robot_geometry(*arm(0.6))
@@ -33,11 +39,17 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is
     for damaged in (path.read_bytes()[:-200], b"", b"no arrays"):
         path.write_bytes(damaged)
         assert stored_robot_geometry(*arm(0.6)).largest == first.largest
-    assert len(made) == 4
+    path.chmod(0o666)
+    with pytest.warns(UserWarning, match="others can write"):
+        monkeypatch.setattr(files, "_WARNED", threading.Event())
+        assert stored_robot_geometry(*arm(0.6)).largest == first.largest
+    path.chmod(0o644)
+    assert len(made) == 5
     assert stored_robot_geometry(*arm(0.9)).largest > first.largest
 
 
 def test_without_a_place_for_the_cache_arrays_are_made(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
     assert list(stored_robot_geometry(*arm(0.6)).body_link) == [0, 1, 3]

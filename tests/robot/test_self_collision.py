@@ -1,5 +1,7 @@
 """The pairs of links that sampling leaves out: which, always the same, kept as an SRDF file."""
 
+import tempfile
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,6 +17,7 @@ TOOL = 'size="0.02 0.06 0.02"'
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     """A cache folder of the test's own."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
@@ -48,6 +51,9 @@ def test_the_pairs_are_kept_and_a_spoilt_file_is_replaced(slider_arm_urdf, cache
     assert kept == cache_file(robot.model, robot.links) and read_srdf(kept) == robot.left_out_pairs
     kept.write_text(srdf_text("x", [LeftOut("base", "tool", "Never")]))
     assert len(load_robot(slider_arm_urdf, "tool").left_out_pairs) == 1, "the file is what counts"
+    kept.chmod(0o666)
+    assert load_robot(slider_arm_urdf, "tool").left_out_pairs == robot.left_out_pairs, "others could write it"
+    kept.chmod(0o644)
     whole = srdf_text(robot.name, robot.left_out_pairs)
     kept.write_text(whole[: len(whole) // 2])
     again = load_robot(slider_arm_urdf, "tool")
