@@ -194,9 +194,12 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
     checker = checker or problem.collision_checker()
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
-            pair = checker.colliding_pair(q)
+            gap = (
+                ", or leave 1 mm between what is carried and what it stands on" if problem.attachments else ""
+            )
             raise InvalidProblemError(
-                f"{problem.name}: {label} is in collision: {pair}; choose another configuration"
+                f"{problem.name}: {label} is in collision: {checker.colliding_pair(q)}; choose another configuration"
+                f"{gap}"
             )
         residual = problem.manifold.residual(q)
         if np.linalg.norm(residual) > TOLERANCE:

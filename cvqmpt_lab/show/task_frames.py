@@ -1,7 +1,6 @@
 """The moments of a solved task, for pictures, films and recordings."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,10 +55,8 @@ def solved_frames(solution: TaskSolution) -> list[Frame]:
 
 def shown(world: World) -> PlanningProblem:
     """A problem to draw a world by: the arm alone, and a door it holds in the scene."""
-    held, loads = world.held, []
-    if isinstance(held, Load):  # the object as it is, not the smaller one that is checked
-        loads = [replace(held.attachment, shape=held.item.shape, T_hand_object=held.T_hand_object)]
-    return PlanningProblem("shown", world.arm, world.scene, world.q, world.q[None], attachments=tuple(loads))
+    carried = (world.held.attachment,) if isinstance(world.held, Load) else ()
+    return PlanningProblem("shown", world.arm, world.scene, world.q, world.q[None], attachments=carried)
 
 
 def moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.ndarray]:
@@ -69,7 +66,7 @@ def moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.nda
         world, held = frame.world, frame.world.held
         placed = {item.name: item.T_world_object for item in world.scene}
         if isinstance(held, Load):
-            placed[held.item.name] = world.arm.pose(world.q) @ held.T_hand_object
+            placed[held.item.name] = world.arm.pose(world.q) @ held.attachment.T_hand_object
         for name in names:
             standing[name].append(placed[name])
     return {

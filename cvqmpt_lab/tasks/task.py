@@ -7,8 +7,11 @@
                {"kind": "slide", "name", "distance": 0.08},
                {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
                {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece, part]]},
-               {"kind": "grasp", "name", "object", "gripper": {...}, "attachment": {...}},
+               {"kind": "grasp", "name", "object", "gripper": {...}},
                {"kind": "release", "name", "gripper": {...}}]
+
+What is grasped is carried as the scene has it, shape and pose. Contact counts as a collision: leave an object a gap of
+1 mm or more from what it stands on.
 """
 
 from collections.abc import Mapping
@@ -16,11 +19,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeAlias
 
+import numpy as np
+
 from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Tagged
 from cvqmpt_lab.codec.plain import Checked, Document, located, unique
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
@@ -68,12 +73,26 @@ class Hold(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Grasp(Checked):
-    """The fingers close on an object of the scene, which from then on is carried."""
+    """The fingers close on an object of the scene, which from then on is carried as it is."""
 
     name: Name  # Unique in its task
     object: Name  # Which of the scene's
     gripper: Mapping[str, Any]  # As in `Hold`
-    attachment: Attachment  # What is checked while it is carried: the object, or one that is a little smaller
+    attachment: Attachment | None = None  # The object where the hand should close, compared and not carried
+
+    def check_shape(self, item: SceneObject) -> None:
+        """Refuse an object that cannot be carried, and an attachment of another shape."""
+        carried = Attachment(item.name, item.shape, np.eye(4)).shape
+        if self.attachment is None or self.attachment.shape == carried:
+            return
+        written, real = (
+            {"type": type(shape).__name__, **vars(shape)} for shape in (self.attachment.shape, carried)
+        )
+        what = next(key for key in real if not np.array_equal(written[key], real[key]))
+        raise InvalidInputError(
+            f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the scene "
+            f"{shown(real[what])}; leave 'attachment' out, the object is carried as it is"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +176,7 @@ def _after(
         case Hold():
             return scene, scene.articulation(phase.articulation)
         case Grasp():
+            phase.check_shape(scene[phase.object])
             return scene.without(phase.object), scene[phase.object]
         case Release():
             return (scene.with_objects(held) if isinstance(held, SceneObject) else scene), None

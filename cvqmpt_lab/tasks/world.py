@@ -1,6 +1,7 @@
 """One moment of a task: the arm's configuration, what the hand holds, the scene."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -9,25 +10,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.poses import pose, rotation_vectors
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Cylinder, Shape, Sphere
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
 
-IN_HAND = 0.02  # [m] between an object and where a grasp expects it, at most
+IN_HAND = 0.02  # [m] between an object and where a grasp expects it, at most, ...
+TURNED = 0.1  # [rad] ... and its turn from there; what is checked is where the object truly is
 
 
 class Load(NamedTuple):
     """A carried object."""
 
     item: SceneObject  # as it stood in the scene
-    T_hand_object: np.ndarray  # (4, 4)
-    attachment: Attachment  # the body that is checked
+    attachment: Attachment  # the same in the hand
 
 
 class HeldDoor(NamedTuple):
@@ -106,22 +109,44 @@ class World:
             case Release():
                 scene = self.scene
                 if isinstance(self.held, Load):
-                    T = self.arm.pose(self.q) @ self.held.T_hand_object
+                    T = self.arm.pose(self.q) @ self.held.attachment.T_hand_object
                     scene = scene.with_objects(replace(self.held.item, T_world_object=T))
                 return replace(self, source={**self.source, **phase.gripper}, scene=scene, held=None)
         raise InvalidInputError(f"phase {phase.name!r} is planned: its end is not known before")
 
     def _grasped(self, phase: Grasp) -> "World":
-        item = self.scene[phase.object]
+        item, source = self.scene[phase.object], {**self.source, **phase.gripper}
         T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
-        off = float(np.linalg.norm(T_hand_object[:3, 3] - phase.attachment.T_hand_object[:3, 3]))
-        if off > IN_HAND:
+        around = CollisionChecker(
+            robot_from_source(source), Scene(item.name, (replace(item, obstacle=True),)), margin=IN_HAND
+        )
+        if around.clear_of_obstacles(self.q[None], self.q[None, None]).all():
             raise InvalidInputError(
-                f"phase {phase.name!r}: {phase.object!r} is {off:.3f} m from where the hand closes; "
+                f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the hand; "
                 "let the phase before end at the object"
             )
-        held = Load(item, T_hand_object, phase.attachment)
-        return World({**self.source, **phase.gripper}, self.scene.without(phase.object), self.q, held)
+        if phase.attachment is not None:
+            off, turn = _offset(item.shape, phase.attachment.T_hand_object, T_hand_object)
+            if off > IN_HAND or turn > TURNED:
+                raise InvalidInputError(
+                    f"phase {phase.name!r}: {phase.object!r} is {off:.3f} m and {turn:.2f} rad from where the hand "
+                    f"closes by its attachment, at most {IN_HAND} m and {TURNED} rad are allowed; let the phase before "
+                    "end at the object, or leave 'attachment' out"
+                )
+        name = item.name if phase.attachment is None else phase.attachment.name
+        held = Load(item, Attachment(name, item.shape, T_hand_object))
+        return World(source, self.scene.without(phase.object), self.q, held)
+
+
+def _offset(shape: Shape, T_expected: np.ndarray, T: np.ndarray) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses of a shape; turns about an axis of symmetry do not count."""
+    off, R = float(np.linalg.norm(T[:3, 3] - T_expected[:3, 3])), T_expected[:3, :3].T @ T[:3, :3]
+    match shape:
+        case Sphere():
+            return off, 0.0
+        case Cylinder():
+            return off, math.acos(min(1.0, abs(R[2, 2])))
+    return off, float(np.linalg.norm(rotation_vectors(R)))
 
 
 _taken_out = lru_cache(maxsize=8)(take_out)  # takes 0.2 s for the casing of a door

@@ -3,11 +3,17 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
+from experiments.suites.multi_sequence import CAN_NAME
 from experiments.suites.place_task import carried_can
 
 
@@ -21,8 +27,18 @@ def without(task, name):
     return replace(task, phases=tuple(phase for phase in task.phases if phase.name != name))
 
 
+def grasping(task, shape):
+    """The task with a written attachment of a shape."""
+    return changed(task, "grasp-can", attachment=replace(carried_can(), shape=shape))
+
+
+def grasping_a_map(task):
+    cells = replace(task.scene[CAN_NAME], name="map", shape=OccupancyMap(np.zeros((1, 3))))
+    return changed(replace(task, scene=task.scene.with_objects(cells)), "grasp-can", object="map")
+
+
 def grasping_twice(task):
-    again = Grasp("again", "mustard_bottle", {}, carried_can())
+    again = Grasp("again", "mustard_bottle", {})
     return replace(task, phases=(*task.phases[:7], again, *task.phases[7:]))
 
 
@@ -59,6 +75,12 @@ def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
         (lambda task: without(task, "hold-handle"), "'open-door': the hand holds no door or drawer"),
         (lambda task: without(task, "grasp-can"), "'put-down': the gripper holds nothing to release"),
         (lambda task: changed(task, "grasp-can", object="cup"), "'grasp-can': unknown object .*'cup'"),
+        (
+            lambda task: grasping(task, Sphere(1e-3)),
+            "'grasp-can': type of the attachment is 'Sphere'.*'Cylinder'",
+        ),
+        (lambda task: grasping(task, Cylinder(0.0373, 0.237)), "height .* is 0.237, that of 'can' .* 0.242"),
+        (grasping_a_map, "'grasp-can': attachment 'map' is an occupancy map"),
         (lambda task: changed(task, "hold-handle", articulation="lid"), "unknown articulation"),
         (lambda task: changed(task, "open-door", value=-2.0), "'open-door': value -2.0 of hinge .* outside"),
         (lambda task: changed(task, "put-down", name="carry"), "'carry' occurs twice"),
@@ -73,5 +95,44 @@ def test_phases_that_cannot_follow_are_refused(task, spoil, message):
 
 def test_a_hand_that_closes_where_nothing_is(task):
     start = World.before(task)
-    with pytest.raises(InvalidInputError, match=r"'grasp-can': 'can' is .* m from where the hand closes"):
+    with pytest.raises(InvalidInputError, match=r"'grasp-can': 'can' is more than 0.02 m from the hand"):
         start.after(next(phase for phase in task.phases if isinstance(phase, Grasp)))
+
+
+QUARTER_ABOUT_X = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("T_written", "refused"),
+    [
+        (pose((0.0, 0.0, 0.019)), ""),
+        (pose((0.0, 0.0, 0.0), 1.5), ""),  # about the can's own axis
+        (pose((0.0, 0.0, 0.021)), "'can' is 0.021 m and 0.00 rad from where the hand closes"),
+        (QUARTER_ABOUT_X, "'can' is 0.000 m and 1.57 rad"),
+    ],
+)
+def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
+    task_solution, T_written, refused
+):
+    carrying = task_solution.outcomes[-1].world
+    can, item = carrying.held.attachment, carrying.held.item
+    before = replace(carrying, held=None, scene=carrying.scene.with_objects(item))
+    phase = Grasp("grasp-can", CAN_NAME, {}, replace(can, T_hand_object=can.T_hand_object @ T_written))
+    if refused:
+        with pytest.raises(InvalidInputError, match=refused):
+            before.after(phase)
+        return
+    held = before.after(phase).held.attachment
+    np.testing.assert_allclose(
+        before.arm.pose(before.q) @ held.T_hand_object, item.T_world_object, atol=1e-12
+    )
+    assert held == can and held.shape == item.shape
+
+
+def test_a_carried_can_hits_a_board_that_one_5_mm_shorter_does_not(task_solution):
+    solution, item = task_solution.outcomes[-1].solution, task_solution.outcomes[-1].world.held.item
+    top = item.T_world_object[2, 3] - item.shape.height / 2 + 0.0025
+    board = SceneObject("board", Box((0.05, 0.05, 0.1)), pose((*item.T_world_object[:2, 3], top - 0.05)))
+    problem = replace(solution.problem, scene=solution.problem.scene.with_objects(board))
+    faults = certify(problem, solution.simplified.path).faults
+    assert [fault.kind for fault in faults] == [FaultKind.COLLISION] and "can and board" in faults[0].text
