@@ -19,7 +19,7 @@ from cvqmpt_lab.disk_cache import cached_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cells import MOST_BALLS, cells_of, merged
+from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, PointCloud, Sphere
 
@@ -41,7 +41,7 @@ def stored_robot_geometry(
 
     made_of = [f"{SOURCES} {list(link)} {list(pairs)}".encode()]
     for spec in specs:
-        made_of.append(f"{spec.kind} {spec.size} {spec.vertices.shape}".encode())
+        made_of.append(f"{spec.kind} {spec.size} {spec.inflation} {spec.vertices.shape}".encode())
         made_of += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
     found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
     pieces = ConvexShapes(*(found.pop(PIECES + name) for name in ConvexShapes._fields))
@@ -74,9 +74,9 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
 def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
     """InvalidInputError for a shape that would be cut into thousands of pieces: seconds, and soon minutes."""
-    points, inflation = outline(spec._replace(T_owner_shape=np.eye(4)))
+    points, _ = outline(spec._replace(T_owner_shape=np.eye(4)))
     size = np.ptp(points, axis=0)
-    if inflation == 0.0 and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
+    if spec.kind != SPHERE and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
         raise InvalidInputError(
             f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan with: give sizes in "
             f"metres"
@@ -94,26 +94,22 @@ def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
     return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
 
 
-def _cloud(shape: Measured, T: np.ndarray, reach: float = np.inf, most_balls: int = MOST_BALLS) -> Cloud:
-    """The balls of a small cloud; of a large one and of a map, its cells in reach, joined to boxes."""
-    if isinstance(shape, PointCloud) and len(shape.points) <= most_balls:
-        balls = shape.points @ T[:3, :3].T + T[:3, 3]
-        return Cloud(balls, np.zeros_like(balls), shape.radius, np.eye(4))
-    cells = cells_of(shape, T, reach)
-    if cells is None:
-        return Cloud(NO_VERTICES, NO_VERTICES, 0.0, T)
-    low, high = (cells.edge * corner for corner in merged(cells.index))
-    return Cloud(0.5 * (low + high), 0.5 * (high - low), cells.padding, cells.T_parent_cells)
+def _cloud(shape: Measured, T: np.ndarray, reach: float) -> Cloud:
+    """The balls of a small cloud; of a large one and of a map, boxes in reach."""
+    low, high, padding = blocks_of(shape, T, reach)
+    return Cloud(0.5 * (low + high), 0.5 * (high - low), padding, T)
 
 
 def _boxes(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:
-    """A carried cloud, as the cells that the exact checker sees."""
-    primitives = _cloud(cloud, T, most_balls=0)
-    poses = np.tile(primitives.T_world_cloud, (len(primitives.centre), 1, 1))
-    poses[:, :3, 3] += primitives.centre @ poses[0, :3, :3].T
+    """A carried cloud, as the balls or boxes that the exact checker sees."""
+    low, high, radius = blocks_of(cloud, T)
+    poses = np.tile(T, (len(low), 1, 1))
+    poses[:, :3, 3] += 0.5 * (low + high) @ T[:3, :3].T
     return [
-        ShapeSpec(BOX, tuple(2.0 * half), NO_VERTICES, pose)
-        for half, pose in zip(primitives.half, poses, strict=True)
+        ShapeSpec(BOX, tuple(edges), NO_VERTICES, pose, radius)
+        if edges.any()
+        else ShapeSpec(SPHERE, (radius,), NO_VERTICES, pose)
+        for edges, pose in zip(high - low, poses, strict=True)
     ]
 
 

@@ -15,7 +15,7 @@ import pinocchio as pin
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import enclosing_points
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cells import MOST_BALLS, Cells, cells_of, merged
+from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
@@ -200,7 +200,7 @@ def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.Geom
     hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
     carried = []
     for item in attachments:
-        pieces = solids(item.name, item.shape, item.T_hand_object, most_balls=0)
+        pieces = solids(item.name, item.shape, item.T_hand_object)
         carried.append([geometry.addGeometryObject(_carried(piece, hand)) for piece in pieces])
     for i, k in carried_pairs(robot, attachments):
         for piece in carried[k]:
@@ -249,32 +249,25 @@ def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
             yield from solids(item.name, item.shape, item.T_world_object, reach)
 
 
-def solids(
-    name: str, shape: Shape, T: np.ndarray, reach: float = np.inf, most_balls: int = MOST_BALLS
-) -> Iterator[Solid]:
-    """The shape itself at pose T; of a small cloud its balls; of a large one and of a map, boxes in reach."""
+def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Iterator[Solid]:
+    """The shape itself at pose T; of a small cloud its balls; of a large one and of a map, boxes in reach.
+
+    Boxes are three times as fast to check as coal's octrees, which descend from 2^16 cells.
+    """
     if not isinstance(shape, Measured):
         yield Solid(name, coal_shape(shape), T)
-    elif isinstance(shape, PointCloud) and len(shape.points) <= most_balls:
-        for k, point in enumerate(shape.points):
-            T_ball = T.copy()
-            T_ball[:3, 3] += T[:3, :3] @ point
-            yield Solid(f"{name}/{k}", coal.Sphere(shape.radius), T_ball)
-    elif (cells := cells_of(shape, T, reach)) is not None:
-        yield from _cell_solids(name, cells)
-
-
-def _cell_solids(name: str, cells: Cells) -> Iterator[Solid]:
-    """Cells, joined to boxes: three times as fast to check as coal's octrees, which descend from 2^16 cells."""
-    low, high = merged(cells.index)
-    sizes, kind = np.unique(high - low, axis=0, return_inverse=True)
-    shapes = [coal.Box(*edges) for edges in cells.edge * sizes]
-    for shape in shapes:
-        shape.setSweptSphereRadius(cells.padding)
-    poses = np.tile(cells.T_parent_cells, (len(low), 1, 1))
-    poses[:, :3, 3] += 0.5 * cells.edge * (low + high) @ cells.T_parent_cells[:3, :3].T
-    for k, T in zip(kind.tolist(), poses, strict=True):
-        yield Solid(name, shapes[k], T)
+        return
+    low, high, padding = blocks_of(shape, T, reach)
+    poses = np.tile(T, (len(low), 1, 1))
+    poses[:, :3, 3] += 0.5 * (low + high) @ T[:3, :3].T
+    ball, edges = coal.Sphere(padding), high - low
+    numbered = isinstance(shape, PointCloud) and len(low) == len(shape.points)
+    for k, (is_box, T_block) in enumerate(zip(edges.any(axis=1).tolist(), poses, strict=True)):
+        core = ball
+        if is_box:
+            core = coal.Box(edges[k])
+            core.setSweptSphereRadius(padding)
+        yield Solid(f"{name}/{k}" if numbered else name, core, T_block)
 
 
 # How far the points of links can move while joints change: from Jacobians and a ball around each link.

@@ -20,7 +20,7 @@ from cvqmpt_lab.collision.distance_grid import (
     distance_grid,
 )
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
-from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, ConvexShapes
+from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
 from cvqmpt_lab.collision.sphere_cover import Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.robot.kinematics import Kinematics
 
@@ -132,13 +132,13 @@ def _bodies(
 def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
     """Append the pieces of one geometry, return them as leaves; cylinders and spheres stay one piece."""
     points, inflation = outline(spec)
-    parts = [points] if inflation > 0.0 else cut_into_pieces(points)
+    parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
         pieces.append(spec)
         return [Piece(part, inflation, len(pieces) - 1) for part in parts]
     leaves = []
     for part in parts:
-        pieces.append(ShapeSpec(HULL, (), part, np.eye(4)))
+        pieces.append(ShapeSpec(HULL, (), part, np.eye(4), spec.inflation))
         leaves.append(Piece(part, inflation, len(pieces) - 1))
     return leaves
 
@@ -177,6 +177,7 @@ def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
     rows = np.zeros((len(specs), COLUMNS))
     for row, spec in zip(rows, specs, strict=True):
         R, middle, half = spec.T_owner_shape[:3, :3], np.zeros(3), np.zeros(3)
+        row[INFLATION] = spec.inflation
         if spec.kind == HULL:
             low, high = spec.vertices.min(axis=0), spec.vertices.max(axis=0)
             middle, half = 0.5 * (low + high), 0.5 * (high - low)

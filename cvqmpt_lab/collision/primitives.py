@@ -22,6 +22,7 @@ class ShapeSpec(NamedTuple):
     """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a hull [m]."""
     vertices: np.ndarray  # (n, 3) of a hull in the shape's frame, else (0, 3) [m]
     T_owner_shape: np.ndarray  # (4, 4) pose in the frame of the link or the world
+    inflation: float = 0.0  # of a box or hull, to all sides [m]
 
 
 def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
@@ -42,7 +43,7 @@ def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
         points = np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
     else:
         points = np.zeros((1, 3))
-    inflation = spec.size[0] if spec.kind == SPHERE else 0.0
+    inflation = spec.size[0] if spec.kind == SPHERE else spec.inflation
     return points @ spec.T_owner_shape[:3, :3].T + spec.T_owner_shape[:3, 3], inflation
 
 
@@ -58,6 +59,7 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
     count = np.zeros(n, dtype=np.int64)
     corners: list[np.ndarray] = [np.empty((0, 3))]
     for i, spec in enumerate(specs):
+        radius[i] = spec.size[0] if spec.kind == SPHERE else spec.inflation
         if spec.kind == HULL:
             points, _ = outline(spec)
             corners.append(convex_hull(points).corners)
@@ -65,11 +67,9 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
             size[i] = np.abs(corners[-1]).max(axis=0)
             continue
         rotation[i], translation[i] = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
-        if spec.kind == SPHERE:
-            radius[i] = spec.size[0]
-        elif spec.kind == CYLINDER:
+        if spec.kind == CYLINDER:
             size[i] = spec.size[0], spec.size[0], 0.5 * spec.size[2]
-        else:
+        elif spec.kind == BOX:
             size[i] = spec.size
             size[i] *= 0.5
     kind = np.array([spec.kind for spec in specs], dtype=np.int64)

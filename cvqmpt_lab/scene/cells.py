@@ -1,6 +1,5 @@
-"""Occupancy maps and large point clouds as cells of a grid: the same cubes for the compiled checker and for coal."""
+"""Point clouds and occupancy maps as boxes that hold them: the same boxes for the compiled checker and for coal."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -8,50 +7,69 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud
 
-MOST_BALLS = 1000  # clouds of more points are checked as cells, which are only roughly the balls
+MOST_BALLS = 1000  # clouds of more points are checked as boxes, which hold the balls and a little more
+CELL = np.sqrt(2.0)  # edge of a cloud's cells, in radii of its balls
 MOST_CELLS_ACROSS = 60_000  # along an edge of a cloud; of finer ones the cells are made larger
 DENSE = 1 << 26  # grids of no more cells are searched as a whole: one byte a cell
 
 
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """Cubes of a grid, each inflated by a padding."""
+class Blocks(NamedTuple):
+    """Boxes along the axes of a shape's frame, each inflated by the same radius."""
 
-    index: np.ndarray  # (k, 3) int64, each only once, in order, the least of every column 0
-    edge: float  # of each cube [m]
+    low: np.ndarray  # (b, 3) least corners [m]
+    high: np.ndarray  # (b, 3) greatest corners [m]
     padding: float  # inflation radius [m]
-    T_parent_cells: np.ndarray  # (4, 4), of the corner of cell 0, 0, 0 in the world or the hand [m]
 
 
-class Boxes(NamedTuple):
-    """Boxes along the axes of a grid."""
+class Cells(NamedTuple):
+    """Boxes of cells of a grid, and what they hold."""
 
     low: np.ndarray  # (b, 3) int64, index of the first cell in each
     high: np.ndarray  # (b, 3) int64, index after the last
+    least: np.ndarray  # (b, 3), corner of the smallest box around the points in each [m]
+    most: np.ndarray  # (b, 3), the opposite corner [m]
 
 
-def cells_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Cells | None:
-    """Cells of a map, or those that hold the points of a cloud, within reach [m] of the parent's origin, if any.
+def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Blocks:
+    """Boxes that together hold a map or the balls of a cloud, within reach [m] of the parent's origin.
 
-    The cells of a cloud are as wide as its balls.
+    Of a map they are its cells. Of a small cloud they are its points, so that the inflated boxes are its balls. Points
+    of a large one are gathered in cells, and a box reaches as far as its points: inflated, the boxes hold every ball,
+    and none of their points is farther than sqrt(3) `CELL` radii from one.
     """
     if isinstance(shape, PointCloud):
-        edge, slack, padding, points = 2.0 * shape.radius, shape.radius, 0.0, shape.points
+        points, edge, half, padding = shape.points, CELL * shape.radius, 0.0, shape.radius
+        if len(points) <= MOST_BALLS:
+            return Blocks(points, points, padding)
     else:
-        edge, padding, points = shape.resolution, shape.padding, shape.centres
-        slack = np.sqrt(0.75) * edge + padding
+        points, edge, half, padding = shape.centres, shape.resolution, 0.5 * shape.resolution, shape.padding
     columns = np.ascontiguousarray(points.T)  # a coordinate each: many times as fast as rows of three
     if reach < np.inf:
         away = T_parent_shape[:3, :3] @ columns + T_parent_shape[:3, 3:]
-        columns = columns[:, np.einsum("ij,ij->j", away, away) <= (reach + slack) ** 2]
+        farthest = reach + np.sqrt(3.0) * half + padding
+        columns = columns[:, np.einsum("ij,ij->j", away, away) <= farthest**2]
     if columns.shape[1] == 0:
-        return None
+        return Blocks(columns.T, columns.T, padding)
+    cells = merged(cells_with(columns, edge))
+    return Blocks(cells.least - half, cells.most + half, padding)
+
+
+def cells_with(columns: np.ndarray, edge: float) -> Cells:
+    """The cells [m] that hold points (3, m), m >= 1 [m], each once and in order.
+
+    They are larger where there would be more than `MOST_CELLS_ACROSS`.
+    """
+    first = columns.min(axis=1)
     edge = max(edge, float(np.ptp(columns, axis=1).max()) / MOST_CELLS_ACROSS)
-    place = np.floor(columns * (1.0 / edge))
-    first = place.min(axis=1)
-    T_parent_cells = T_parent_shape.copy()
-    T_parent_cells[:3, 3] += T_parent_shape[:3, :3] @ (first * edge)
-    return Cells(distinct((place - first[:, None]).astype(np.int64).T), edge, padding, T_parent_cells)
+    place = np.rint((columns - first[:, None]) * (1.0 / edge)).astype(np.int64)
+    across = tuple(place.max(axis=1) + 1)
+    keys = np.ravel_multi_index(tuple(place), across)
+    order = np.argsort(keys, kind="stable")
+    keys, columns = keys[order], columns[:, order]
+    start = np.flatnonzero(np.append(True, keys[1:] != keys[:-1]))
+    index = np.stack(np.unravel_index(keys[start], across), axis=1)
+    least, most = (end.reduceat(columns, start, axis=1).T for end in (np.minimum, np.maximum))
+    return Cells(index, index + 1, least, most)
 
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
@@ -74,33 +92,35 @@ def distinct(index: np.ndarray) -> np.ndarray:
     return np.stack(np.unravel_index(keys, across), axis=1)
 
 
-def merged(index: np.ndarray) -> Boxes:
-    """Few boxes that together are the cells (k, 3), which are in order.
+def merged(cells: Cells) -> Cells:
+    """Few boxes that together are the cells, which are in order.
 
     Neighbours of equal extent are joined along z, then y, then x.
     """
-    boxes = _joined(Boxes(index, index + 1), 2)
+    boxes = _joined(cells, 2)
     for axis in (1, 0):
         boxes = _joined(_in_order(boxes, axis), axis)
     return boxes
 
 
-def _joined(boxes: Boxes, axis: int) -> Boxes:
+def _joined(boxes: Cells, axis: int) -> Cells:
     """Boxes that follow each other along an axis, with equal extents along the others, made one."""
-    low, high = boxes
+    low, high, least, most = boxes
     follows = low[1:, axis] == high[:-1, axis]
     for k in range(3):
         if k != axis:
             follows &= (low[1:, k] == low[:-1, k]) & (high[1:, k] == high[:-1, k])
-    return Boxes(low[np.append(True, ~follows)], high[np.append(~follows, True)])
+    start = np.flatnonzero(np.append(True, ~follows))
+    last = np.append(start[1:], len(low)) - 1
+    return Cells(low[start], high[last], np.minimum.reduceat(least, start), np.maximum.reduceat(most, start))
 
 
-def _in_order(boxes: Boxes, axis: int) -> Boxes:
+def _in_order(boxes: Cells, axis: int) -> Cells:
     """The boxes ordered so that those that follow each other along an axis stand beside each other."""
     columns = [*(k for k in range(3) if k != axis), axis]
     across = tuple(boxes.high[:, columns].max(axis=0))
     order = np.argsort(np.ravel_multi_index(tuple(boxes.low[:, columns].T), across))
-    return Boxes(boxes.low[order], boxes.high[order])
+    return Cells(*(corners[order] for corners in boxes))
 
 
 def seen_points(shape: Measured) -> FloatArray:

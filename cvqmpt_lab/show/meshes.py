@@ -11,7 +11,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cells import cells_of, merged
+from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import (
     Box,
@@ -126,9 +126,7 @@ def shape_mesh(shape: Shape) -> Mesh:
 
 def map_boxes(shape: OccupancyMap) -> tuple[np.ndarray, np.ndarray]:
     """Centres and edges, (b, 3) each [m], of boxes that together are the map's cells without their padding."""
-    cells = cells_of(shape, np.eye(4))
-    assert cells is not None  # nothing is out of reach
-    low, high = (cells.edge * corner + cells.T_parent_cells[:3, 3] for corner in merged(cells.index))
+    low, high, _ = blocks_of(shape, np.eye(4))
     return 0.5 * (low + high), high - low
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.poses import pose
@@ -129,6 +130,42 @@ def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     missed = [checker.clearance(q) for q in states[expected & ~answers]]
     assert expected[1000:].mean() > 0.2 and [depth for depth in missed if depth < -CONTACT] == []
     assert (answers & ~expected)[:1000].mean() < 0.02
+
+
+def touching_ball(piece, T_world_piece, radius, depth, rng):
+    """Centre (3,) of a ball that is this deep [m] in a face of a convex piece, and the face's normal (3,)."""
+    hull = ConvexHull(piece.vertices)
+    face = rng.integers(len(hull.simplices))
+    normal = T_world_piece[:3, :3] @ hull.equations[face, :3]
+    point = rng.dirichlet(np.ones(3)) @ piece.vertices[hull.simplices[face]]
+    return T_world_piece[:3, :3] @ point + T_world_piece[:3, 3] + (radius - depth) * normal, normal
+
+
+@pytest.mark.parametrize("count", [1, MOST_BALLS, MOST_BALLS + 1, 5000])
+@pytest.mark.parametrize("carried", [False, True], ids=["obstacle", "carried"])
+def test_what_a_ball_touches_its_cloud_touches(panda, count, carried):
+    """The other balls of the cloud stay clear of the face that the ball is in."""
+    rng = np.random.default_rng(count)
+    q = HOME + 0.3 * rng.uniform(-1.0, 1.0, 7)
+    T_hand = panda.pose(q)
+    frames = {panda.link_of(name)[0]: name for name in panda.frame_names}
+    pieces = [piece for piece in panda.links if 0 < piece.link <= (3 if carried else 9)]
+    for trial in range(6 if carried else 20):
+        piece, radius = pieces[rng.integers(len(pieces))], 10.0 ** rng.uniform(-2.7, -0.9)
+        name = frames[piece.link]
+        T_world_piece = panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1]) @ piece.T_link_geometry
+        ball, normal = touching_ball(piece, T_world_piece, radius, 10.0 ** rng.uniform(-4.5, -3.0), rng)
+        others = rng.uniform(-6.0, 6.0, (count - 1, 3)) * min(radius, 0.05)
+        height = others @ normal
+        others += np.outer(np.abs(height) - height + 3.0 * radius, normal)  # beyond the face
+        points = ball + np.concatenate([np.zeros((1, 3)), others])
+        T = (T_hand if carried else TURNED) @ pose(rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0))
+        cloud = PointCloud((points - T[:3, 3]) @ T[:3, :3], radius)
+        scene, attachments = Scene("cloud", (SceneObject("cloud", cloud, T),)), ()
+        if carried:
+            scene, attachments = NOTHING, (Attachment("cloud", cloud, np.linalg.inv(T_hand) @ T),)
+        assert CollisionChecker(panda, scene, attachments).in_collision(q), (trial, radius)
+        assert compiled_hits(panda, scene, q[None], attachments).all(), (trial, radius)
 
 
 @pytest.mark.parametrize("padding", [0.0, 0.03])

@@ -1,18 +1,20 @@
-"""Cells of clouds and maps: each once, joined to boxes that are those cells and no more."""
+"""Boxes of clouds and maps: they hold every ball and every cell, and little more."""
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cells import cells_of, distinct, merged
+from cvqmpt_lab.scene.cells import CELL, MOST_CELLS_ACROSS, blocks_of, cells_with, distinct, merged
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 
 def filled(boxes):
     """Every cell of boxes, sorted (k, 3)."""
-    cells = [low + np.argwhere(np.ones(high - low, dtype=bool)) for low, high in zip(*boxes, strict=True)]
+    corners = zip(boxes.low, boxes.high, strict=True)
+    cells = [low + np.argwhere(np.ones(high - low, dtype=bool)) for low, high in corners]
     return np.concatenate(cells)
 
 
@@ -20,30 +22,41 @@ def filled(boxes):
 def test_boxes_are_the_cells_and_none_twice(share):
     rng = np.random.default_rng(0)
     index = np.argwhere(rng.random((17, 9, 23)) < share)
-    boxes = merged(index)
+    cells = cells_with(0.3 * index[rng.permutation(len(index))].T, 0.3)
+    boxes = merged(cells)
     assert np.array_equal(distinct(filled(boxes)), index) and len(filled(boxes)) == len(index)
+    np.testing.assert_allclose(boxes.least, 0.3 * boxes.low)
+    np.testing.assert_allclose(boxes.most, 0.3 * (boxes.high - 1))
     assert len(boxes.low) == 1 if share == 1.0 else len(boxes.low) < len(index)
 
 
-def test_cells_hold_the_points_of_a_cloud_wherever_its_origin_lies():
-    rng, radius = np.random.default_rng(1), 0.01
-    points = rng.uniform(-1.0, 1.0, (3000, 3))
-    T = pose((0.3, -0.2, 0.1), 0.7)
-    for shift in (0.0, 1e4):
-        T_shifted = T @ pose((-shift, 0.0, 0.0))
-        cells = cells_of(PointCloud(points + (shift, 0.0, 0.0), radius), T_shifted)
-        world = points @ T[:3, :3].T + T[:3, 3]
-        inside = (world - cells.T_parent_cells[:3, 3]) @ cells.T_parent_cells[:3, :3] / cells.edge
-        assert cells.edge == 2.0 * radius and np.array_equal(
-            distinct(np.floor(inside).astype(int)), cells.index
-        )
+@pytest.mark.parametrize("radius", [1e-6, 0.01, 0.05])
+@pytest.mark.parametrize("shift", [0.0, 1e4])
+def test_boxes_hold_the_balls_of_a_cloud_and_little_more(shift, radius):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-1.0, 1.0, (3000, 3)) + (shift, 0.0, 0.0)
+    blocks = blocks_of(PointCloud(points, radius), pose((-shift, 0.0, 0.0)))
+    assert blocks.padding == radius and len(blocks.low) <= len(points)
+    inside = (points[:, None] >= blocks.low).all(axis=2) & (points[:, None] <= blocks.high).all(axis=2)
+    assert inside.any(axis=1).all()
+    probes = blocks.low + rng.random(blocks.low.shape) * (blocks.high - blocks.low)
+    edge = max(CELL * radius, 2.0 / MOST_CELLS_ACROSS)
+    assert cKDTree(points).query(probes)[0].max() < np.sqrt(3.0) * edge
 
 
-def test_cells_of_a_map_are_those_in_reach():
+def test_boxes_of_a_map_are_its_cells_in_reach():
     cells = np.array([[0, 0, 0], [9, 0, 0], [10, 0, 0], [10, 0, 0], [-50, 3, 2]], dtype=float)
-    found = cells_of(OccupancyMap(cells, 0.1, 0.05), pose((0.0, 0.0, 0.5)), reach=1.0)
-    assert found.padding == 0.05 and found.index.tolist() == [[0, 0, 0], [9, 0, 0]]
-    assert cells_of(OccupancyMap(cells, 0.1), pose((0.0, 0.0, 9.0)), reach=0.9) is None
+    low, high, padding = blocks_of(OccupancyMap(cells, 0.1, 0.05), pose((0.0, 0.0, 0.5)), reach=1.0)
+    assert padding == 0.05
+    np.testing.assert_allclose([low, high], [[[0, 0, 0], [0.9, 0, 0]], [[0.1, 0.1, 0.1], [1.0, 0.1, 0.1]]])
+    assert len(blocks_of(OccupancyMap(cells, 0.1), pose((0.0, 0.0, 9.0)), reach=0.9).low) == 0
+
+
+def test_a_map_with_many_cells_across_is_held_by_larger_ones():
+    cells = np.random.default_rng(2).integers(0, 2 * MOST_CELLS_ACROSS, (3000, 3)).astype(float)
+    low, high, _ = blocks_of(OccupancyMap(cells, 0.1), np.eye(4))
+    for corner in (0.1 * cells + 1e-6, 0.1 * cells + 0.1 - 1e-6):
+        assert ((corner[:, None] > low) & (corner[:, None] < high)).all(axis=2).any(axis=1).all()
 
 
 def test_a_map_is_not_carried():
