@@ -59,6 +59,9 @@ def solve(
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and start.
 
+    Calls from several threads run one after the other: OMPL's random numbers, clouds and costs of edges that are
+    remembered, and the number of BLAS threads belong to the process. Several processes plan at the same time.
+
     optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
     use_cache: False charges the planner for whatever it computes from the cloud, although it may remember the scene.
     Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a

@@ -18,6 +18,7 @@ A pose is {"xyz", "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn
 goals are given.
 """
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -181,12 +182,21 @@ class PlanningProblem(Document):
         return shared_checker(self.robot, self.scene, self.attachments, margin)
 
 
-@lru_cache(maxsize=4)
+class _ThreadCheckers(threading.local):
+    """Checkers used last; each thread has its own, because a check writes to pinocchio's and coal's data."""
+
+    def __init__(self) -> None:
+        self.checker = lru_cache(maxsize=4)(CollisionChecker)
+
+
+_OF_THREAD = _ThreadCheckers()
+
+
 def shared_checker(
     robot: Robot, scene: Scene, attachments: tuple[Attachment, ...], margin: float
 ) -> CollisionChecker:
-    """The exact checker of a robot, scene and attachments, cached: building it takes 10 ms."""
-    return CollisionChecker(robot, scene, attachments, margin)
+    """The exact checker of a robot, scene and attachments, cached for this thread: building it takes 10 ms."""
+    return _OF_THREAD.checker(robot, scene, attachments, margin)
 
 
 def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = None) -> None:

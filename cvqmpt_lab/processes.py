@@ -4,6 +4,7 @@ import ctypes
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -11,6 +12,7 @@ from functools import lru_cache
 from threadpoolctl import ThreadpoolController
 
 PR_SET_PDEATHSIG = 1
+_ONE_AT_A_TIME = threading.RLock()
 
 
 def end_with_parent(parent: int) -> None:
@@ -23,8 +25,11 @@ def end_with_parent(parent: int) -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let BLAS and OpenMP use one thread: with more, rounding and so paths would depend on the number of cores."""
-    with _libraries(torch="torch" in sys.modules).limit(limits=1):
+    """Let BLAS and OpenMP use one thread: with more, rounding and so paths would depend on the number of cores.
+
+    The limit holds for the whole process, so another thread that asks for it waits.
+    """
+    with _ONE_AT_A_TIME, _libraries(torch="torch" in sys.modules).limit(limits=1):
         yield
 
 

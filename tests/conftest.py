@@ -1,6 +1,7 @@
 """Objects that several test files share; each is made once and must not be changed."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -96,3 +97,13 @@ def task():
 def task_solution(task):
     """`task`, every phase solved and certified."""
     return solve_task(task, "birrt", Budget(seconds=20.0), seed=0)
+
+
+@pytest.fixture
+def four_threads():
+    """Returns what a function gives for each value, called in four threads that are switched every 10 us."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    with ThreadPoolExecutor(4) as executor:
+        yield lambda function, values: list(executor.map(function, values))
+    sys.setswitchinterval(before)

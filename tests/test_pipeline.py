@@ -5,7 +5,7 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import solve, solve_many
+from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
 from cvqmpt_lab.search.result import Budget
 from experiments.suites.place_task import place_problem
 
@@ -51,3 +51,19 @@ def test_seconds_left_are_used_and_hardly_more(problem):
 def test_a_run_without_a_clock_takes_no_seconds(problem):
     with pytest.raises(InvalidInputError, match=r"optimize: 0\.05 s in a run of 20000 iterations"):
         solve(problem, "birrt", ENOUGH, seed=0, optimize=Budget(seconds=0.05))
+
+
+@pytest.mark.parametrize(
+    ("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")]
+)
+def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, planner, backend):
+    problem, _ = with_sampled_goals(place_problem(number))
+
+    def planned(seed):
+        return solve(problem, planner, ENOUGH, seed, backend=backend, clearance=False).simplified.path
+
+    alone = [planned(seed) for seed in range(3)]
+    together = four_threads(planned, 2 * [0, 1, 2])
+    for path, same in zip(together, 2 * alone, strict=True):
+        np.testing.assert_array_equal(path.states, same.states)
+    assert all(four_threads(lambda path: certify(problem, path).valid, together))

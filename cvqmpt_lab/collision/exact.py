@@ -57,7 +57,7 @@ class CollisionChecker:
 
     Pieces that do not move against each other (a base link and the walls, a hand and what it carries) are no pair.
     margin: pieces closer than this [m] count as touching. Contact is defined to 1e-5 m only: two checkers agree where
-    a margin is kept.
+    a margin is kept. Each thread needs a checker of its own.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class CollisionChecker:
         self._model, self._data = robot.model, robot.model.createData()
         self._geometry = _robot_geometry(robot, attachments)
         self._own_results = pin.GeometryData(self._geometry)
+        _forget_guesses(self._own_results)
         for request in self._own_results.collisionRequests:
             request.security_margin = margin
             request.enable_contact = True  # else coal calls some pairs free that overlap by half a millimetre
@@ -180,6 +181,21 @@ class CollisionChecker:
             if result.isCollision():
                 return True
         return False
+
+
+def _forget_guesses(results: pin.GeometryData) -> None:
+    """Let GJK begin at the boxes' centres: pinocchio begins where a pair's last call ended.
+
+    The last digits of distances, and verdicts on contact, would then depend on what was asked before.
+    """
+    kinds = (
+        (results.collisionRequests, coal.CollisionRequest),
+        (results.distanceRequests, coal.DistanceRequest),
+    )
+    for requests, kind in kinds:
+        for k in range(len(requests)):
+            requests[k] = kind()
+            requests[k].gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
 
 
 def _box_gaps(first: list, second: list) -> np.ndarray:

@@ -5,6 +5,7 @@ compiled kernels. Tests compare the two.
 """
 
 import hashlib
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -88,6 +89,13 @@ def positive_per_joint(
     return array
 
 
+class _ThreadData(threading.local):
+    """pinocchio's memory for intermediate results; each thread has its own."""
+
+    def __init__(self, model: pin.Model) -> None:
+        self.data = model.createData()
+
+
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
@@ -109,10 +117,10 @@ class Robot:
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
-    _data: pin.Data = field(init=False, repr=False)
+    _of_thread: _ThreadData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_data", self.model.createData())
+        object.__setattr__(self, "_of_thread", _ThreadData(self.model))
 
     @property
     def dof(self) -> int:
@@ -182,10 +190,10 @@ class Robot:
         if not self.model.existFrame(name, pin.FrameType.BODY):
             raise InvalidInputError(f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`")
         frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
-        poses = np.empty((len(q), 4, 4))
+        poses, data = np.empty((len(q), 4, 4)), self._of_thread.data
         for T, row in zip(poses, np.asarray(q, dtype=float), strict=True):
-            pin.forwardKinematics(self.model, self._data, row)
-            T[:] = pin.updateFramePlacement(self.model, self._data, frame_id).homogeneous
+            pin.forwardKinematics(self.model, data, row)
+            T[:] = pin.updateFramePlacement(self.model, data, frame_id).homogeneous
         return poses
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
