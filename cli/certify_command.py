@@ -71,7 +71,9 @@ def _where(found: DryRun, at: float) -> str:
 def _report(found: DryRun, problem: PlanningProblem) -> list[str]:
     """The lines a person reads."""
     certificate = found.certificate
-    what = "path" if found.times is None else f"trajectory of {found.times[-1]:.3f} s"
+    what = (
+        "path" if found.times is None else f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
+    )
     states = "x".join(map(str, np.shape(found.states)))
     verdict = "yes" if certificate.valid else "NO"
     lines = [f"certified   {verdict}: {what}, {states} states, problem {problem.name}"]
@@ -120,7 +122,13 @@ def _data(found: DryRun) -> dict[str, Any]:
     figures = {name: value for name, value in vars(certificate).items() if name != "faults"}
     for name, value in figures.items():
         figures[name] = value if value is not None and math.isfinite(value) else None
-    return {"valid": certificate.valid, "faults": faults, "apart_m": found.apart, **figures}
+    return {
+        "valid": certificate.valid,
+        "faults": faults,
+        "apart_m": found.apart,
+        "curve": found.curve,
+        **figures,
+    }
 
 
 def _certify_run(directory: Path, as_json: bool) -> int:

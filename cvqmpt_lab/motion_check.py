@@ -1,12 +1,16 @@
 """Check of a motion before it is executed: limits, start, rest at both ends, and the certificate of its curve.
 
-Between its points a trajectory is cubic, through positions and velocities, as a robot's controller interpolates.
+Between its points a trajectory is the cubic through positions and velocities, as a robot's controller interpolates.
+Where accelerations are stated, a controller may take the quintic through these too: then both curves are judged.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from cvqmpt_lab.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.exact import reach_with
@@ -14,13 +18,20 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.trajectory.trajectory import Trajectory
 from cvqmpt_lab.trajectory.trajectory_files import Motion
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
-# Share by which limits may be exceeded: cubic pieces between the points of a motion that `time_path` timed to its
-# limits have accelerations up to 4 % above the stated ones.
-OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
+SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
+# Shares by which limits may be exceeded: pieces between the points of a motion that `time_path` timed to its limits
+# have accelerations up to 4 % above the stated ones, and as quintics, where the stated ones jump, up to 75 %.
+OVERSHOOT = {
+    (FaultKind.VELOCITY, "cubic"): 1e-3,
+    (FaultKind.VELOCITY, "quintic"): 0.01,
+    (FaultKind.ACCELERATION, "cubic"): 0.05,
+    (FaultKind.ACCELERATION, "quintic"): 0.8,
+}
+SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
+BETWEEN = 1.02  # times the largest acceleration there is more than that in between
 MOST_PIECES = 100_000
 HARDEST = 1e3  # times its acceleration limit, beyond which units must be wrong
 
@@ -36,6 +47,7 @@ class DryRun(NamedTuple):
     apart: float = (
         0.0  # distance of the robot's points on the motion from those on the straight pieces, at most [m]
     )
+    curve: str = ""  # "cubic" or "quintic", the worse one of those judged; "" for a path
 
 
 def dry_run(
@@ -49,46 +61,81 @@ def dry_run(
     InvalidInputError: joints of another robot, times without velocities, or times that do not increase.
     """
     motion = motion.of_joints(problem.robot.joint_names)
-    states, times, faults, apart = motion.positions, None, [], 0.0
-    usable = states.ndim == 2 and states.shape[1] == problem.robot.dof and np.isfinite(states).all()
-    if motion.times is not None and usable:
-        trajectory = _trajectory(motion, problem.robot.joint_names)
-        limits = problem.robot.joint_limits
-        times = _moments(trajectory, limits)
-        states = trajectory.at(times).positions
-        faults = [*_limit_faults(trajectory, motion, limits, times), *_rest_faults(trajectory, limits, times)]
-        apart = 2.0 * reach_with(problem.robot, problem.attachments) * problem.robot.dof * FLAT
-    if current is not None and usable:
-        faults += _start_fault(problem, states[0], current, tolerance)
-    certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
-    return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states, times, apart)
+    states, robot = motion.positions, problem.robot
+    usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
+    faults = _start_fault(problem, states[0], current, tolerance) if current is not None and usable else []
+    if motion.times is None or not usable:
+        certificate = certify(problem, JointPath(states))
+        return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
+    apart = 2.0 * reach_with(robot, problem.attachments) * robot.dof * FLAT
+    runs = []
+    for name, curve in _curves(motion).items():
+        times = _moments(curve, robot.joint_limits)
+        states = curve(times)
+        stated = motion.accelerations if name == "cubic" else None  # a quintic has them at its points
+        certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
+        every = (
+            *_limit_faults(name, curve, stated, robot.joint_limits, times),
+            *_rest_faults(curve, robot.joint_limits, times),
+            *faults,
+            *certificate.faults,
+        )
+        certificate = replace(certificate, faults=every)
+        runs.append(DryRun(certificate, states, times, apart, name))
+        if not certificate.valid:
+            return runs[-1]
+    return min(runs, key=lambda run: run.certificate.min_clearance_m)
 
 
-def _trajectory(motion: Motion, names: tuple[str, ...]) -> Trajectory:
+def _curves(motion: Motion) -> dict[str, PPoly]:
+    """The cubic through positions and velocities q(t) (n,), and the quintic through stated accelerations if it differs.
+
+    With h the length of a piece, s = t / h its share and d0, d1 the stated accelerations less the cubic's at its ends:
+    quintic - cubic = h^2 / 2 (d0 s^2 (1 - s)^3 + d1 s^3 (1 - s)^2), at most h^2 / 32 max(|d0|, |d1|).
+    """
     assert motion.times is not None
-    if motion.velocities is None:
+    q, v, a = motion.positions, motion.velocities, motion.accelerations
+    if v is None:
         raise InvalidInputError(
             "a trajectory needs velocities at its times; leave the times out to judge the path"
         )
-    for what, values in (("time", motion.times), ("velocity", motion.velocities)):
-        if not np.isfinite(values).all():
-            raise InvalidInputError(f"a {what} is not finite")
+    for what, values in (("time", motion.times), ("velocity", v), ("acceleration", a)):
+        if values is not None and not np.isfinite(values).all():
+            raise InvalidInputError(f"a value of {what} is not finite")
     if len(motion.times) < 2 or motion.times[0] < 0.0 or not (np.diff(motion.times) > 0.0).all():
         raise InvalidInputError("times must begin at 0 or later and increase, at two points or more")
-    zeros = np.zeros_like(motion.velocities)
-    return Trajectory(names, motion.times - motion.times[0], motion.positions, motion.velocities, zeros)
+    times = motion.times - motion.times[0]
+    h = np.diff(times)[:, None]
+    with np.errstate(all="ignore"):  # what overflows is refused by `_moments`
+        mean = np.diff(q, axis=0) / h
+        begins = (6.0 * mean - 4.0 * v[:-1] - 2.0 * v[1:]) / h
+        ends = (2.0 * v[:-1] + 4.0 * v[1:] - 6.0 * mean) / h
+        d0, d1 = np.zeros((2, *mean.shape)) if a is None else (a[:-1] - begins, a[1:] - ends)
+        none = np.zeros_like(mean)
+        cubic = np.array([none, none, (ends - begins) / (6.0 * h), 0.5 * begins, v[:-1], q[:-1]])
+        factors = (d1 - d0) / h**3, (3.0 * d0 - 2.0 * d1) / h**2, (d1 - 3.0 * d0) / h, d0, none, none
+        curves = {"cubic": PPoly(cubic, times), "quintic": PPoly(cubic + 0.5 * np.array(factors), times)}
+        if (h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1)) <= SAME).all():
+            del curves["quintic"]
+        return curves
 
 
-def _moments(trajectory: Trajectory, limits: JointLimits) -> np.ndarray:
+def _rates(curve: PPoly, order: int, share: float) -> np.ndarray:
+    """A derivative (k, n) [rad/s, rad/s^2] at a share of every piece; inf or nan after an overflow."""
+    with np.errstate(all="ignore"):
+        return np.polyval(curve.derivative(order).c, share * np.diff(curve.x)[:, None])
+
+
+def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
     """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration of each piece."""
-    most = np.maximum(*map(np.abs, _accelerations(trajectory)))
+    most = BETWEEN * reduce(np.maximum, (np.abs(_rates(curve, 2, share)) for share in SHARES))
     if not (most <= HARDEST * limits.acceleration).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
         raise InvalidInputError(
             f"from point {worst} on {limits.joint_names[joint]} accelerates by {most[worst, joint]:.3g} rad/s^2, "
             f"its limit is {limits.acceleration[joint]:.3g}: too much to follow; are units right?"
         )
-    spans = np.diff(trajectory.times)
+    spans = np.diff(curve.x)
     pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * FLAT))), 1.0)
     if pieces.sum() > MOST_PIECES:
         raise InvalidInputError(
@@ -97,59 +144,47 @@ def _moments(trajectory: Trajectory, limits: JointLimits) -> np.ndarray:
         )
     cuts = [
         t + span * np.arange(count) / count
-        for t, span, count in zip(trajectory.times, spans, pieces.astype(int), strict=False)
+        for t, span, count in zip(curve.x, spans, pieces.astype(int), strict=False)
     ]
-    return np.concatenate([*cuts, trajectory.times[-1:]])
-
-
-def _accelerations(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """At the begin and the end of every cubic piece, (k, n) each [rad/s^2]; inf or nan after an overflow."""
-    h = np.diff(trajectory.times)[:, None]
-    v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]
-    with np.errstate(all="ignore"):
-        mean = np.diff(trajectory.positions, axis=0) / h
-        return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * mean) / h
+    return np.concatenate([*cuts, curve.x[-1:]])
 
 
 def _limit_faults(
-    trajectory: Trajectory, motion: Motion, limits: JointLimits, times: np.ndarray
-) -> list[Fault]:
-    """Joints above their limits, at the points and at extrema of the velocity between them."""
-    begins, ends = _accelerations(trajectory)
-    spans = np.diff(trajectory.times)[:, None]
-    change = ends - begins
-    turn = np.clip(np.divide(-begins, change, out=np.zeros_like(begins), where=change != 0.0), 0.0, 1.0)
-    between = trajectory.velocities[:-1] + spans * turn * (begins + 0.5 * turn * change)
-    turning = trajectory.times[:-1, None] + spans * turn
-    points = np.broadcast_to(trajectory.times[:, None], trajectory.positions.shape)
-    velocities = np.concatenate([trajectory.velocities, between]), np.concatenate([points, turning])
-    accelerations = np.concatenate([begins, ends]), np.concatenate([points[:-1], points[1:]])
-    if motion.accelerations is not None:
-        stated = np.concatenate([accelerations[0], motion.accelerations])
-        accelerations = stated, np.concatenate([accelerations[1], points])
-    faults = []
-    for kind, unit, limit, (values, moments) in (
-        (FaultKind.VELOCITY, "rad/s", limits.velocity, velocities),
-        (FaultKind.ACCELERATION, "rad/s^2", limits.acceleration, accelerations),
+    name: str, curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
+) -> Iterator[Fault]:
+    """The joint most above its limit, of velocity and acceleration: on a curve at SHARES, and as stated."""
+    for order, kind, unit, limit in (
+        (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
+        (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
     ):
-        share = np.nan_to_num(np.abs(values) / limit, nan=np.inf)
-        k, joint = np.unravel_index(int(share.argmax()), share.shape)
-        if share[k, joint] > 1.0 + OVERSHOOT[kind]:
-            name, reached = limits.joint_names[joint], abs(values[k, joint])
-            text = f"{name} reaches {reached:.4g} {unit}, its {kind} limit is {limit[joint]:.4g}"
-            state = float(np.interp(moments[k, joint], times, np.arange(len(times))))
-            faults.append(Fault(kind, text, state))
-    return faults
+        worst = max(_most_used(_rates(curve, order, share), limit, curve, share) for share in SHARES)
+        if order == 2 and stated is not None:
+            worst = max(
+                worst, _most_used(stated[:-1], limit, curve, 0.0), _most_used(stated[1:], limit, curve, 1.0)
+            )
+        used, moment, joint = worst
+        if used > 1.0 + OVERSHOOT[kind, name]:
+            reached = f"{limits.joint_names[joint]} reaches {used * limit[joint]:.4g} {unit}"
+            state = float(np.interp(moment, times, np.arange(len(times))))
+            yield Fault(kind, f"{reached}, its {kind} limit is {limit[joint]:.4g}", state)
 
 
-def _rest_faults(trajectory: Trajectory, limits: JointLimits, times: np.ndarray) -> list[Fault]:
+def _most_used(values: np.ndarray, limit: np.ndarray, curve: PPoly, share: float) -> tuple[float, float, int]:
+    """Largest part of its limit (n,) that rates (k, n) at a share of every piece use; when [s], and which joint."""
+    used = np.nan_to_num(np.abs(values) / limit, nan=np.inf)
+    k, joint = (int(i) for i in np.unravel_index(int(used.argmax()), used.shape))
+    return float(used[k, joint]), float(curve.x[k] + share * (curve.x[k + 1] - curve.x[k])), joint
+
+
+def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> list[Fault]:
     """Joints that do not rest where the motion begins or ends."""
+    velocities = np.array([_rates(curve, 1, share)[end] for share, end in ((0.0, 0), (1.0, -1))])
     faults = []
     for what, end, at in (("begins", 0, 0.0), ("ends", -1, len(times) - 1.0)):
-        share = np.abs(trajectory.velocities[end]) / limits.velocity
+        share = np.abs(velocities[end]) / limits.velocity
         joint = int(share.argmax())
-        if share[joint] > OVERSHOOT[FaultKind.VELOCITY]:
-            name, speed = limits.joint_names[joint], abs(trajectory.velocities[end, joint])
+        if share[joint] > OVERSHOOT[FaultKind.VELOCITY, "cubic"]:
+            name, speed = limits.joint_names[joint], abs(velocities[end, joint])
             text = f"{name} moves at {speed:.4g} rad/s where the motion {what}"
             faults.append(Fault(FaultKind.VELOCITY, text, at))
     return faults

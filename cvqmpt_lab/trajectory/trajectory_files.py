@@ -131,10 +131,14 @@ def _from_json(text: str) -> Motion:
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
     """The points of a `JointTrajectory`."""
     times = [point["time_from_start"] for point in points]
-    kinds = [
-        _table([point[key] for point in points]) if all(point.get(key) for point in points) else None
-        for key in ("positions", "velocities", "accelerations")
-    ]
+    kinds = []
+    for key in ("positions", "velocities", "accelerations"):
+        given = [bool(point.get(key)) for point in points]
+        if any(given) and not all(given):
+            raise InvalidInputError(
+                f"point {given.index(False)} has no {key!r}, others have: give all or none"
+            )
+        kinds.append(_table([point[key] for point in points]) if all(given) else None)
     if kinds[0] is None:
         raise InvalidInputError("a point has no 'positions'")
     seconds = numbers([time["sec"] for time in times], "sec")

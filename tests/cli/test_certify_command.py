@@ -11,8 +11,11 @@ from command_line import refused
 from cli.main import main
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
@@ -20,6 +23,7 @@ from experiments.run import Experiment, executor_for, run_experiment
 from experiments.suites.place_task import DOOR
 
 MIDDLE = 40
+POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +172,29 @@ def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, traj
     assert code == 1 and abs(fault["time_s"] - trajectory.times[middle]) < 0.1
 
 
+@pytest.mark.parametrize(
+    ("acceleration", "code", "curve"), [(None, 0, "cubic"), (0.0, 0, "cubic"), (6.02, 1, "quintic")]
+)
+def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
+    judged, panda, acceleration, code, curve
+):
+    """Joint 1 swings by 0.3 rad above a board; the quintic turns joint 2 down by up to 0.234 rad."""
+    start = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8])
+    goal = start + 0.3 * np.eye(7)[0]
+    hand = panda.pose(start)[:3, 3]
+    board = SceneObject("board", Box((0.6, 2.0, 0.02)), pose((hand[0], 0.0, hand[2] - 0.2)))
+    problem = PlanningProblem("swing", panda, Scene("board", (board,)), start, goal[None])
+    mean = 0.3 / 1.5 * np.eye(7)[0]
+    a = np.array([6.0 * mean / 1.5, -6.0 * mean / 1.5 + (acceleration or 0.0) * np.eye(7)[1]])
+    kinds = ("position", "velocity") if acceleration is None else ("position", "velocity", "acceleration")
+    rows = np.column_stack([(0.0, 1.5), (start, goal), np.zeros((2, 7)), a][: 1 + len(kinds)])
+    header = ["time", *(f"{name}_{kind}" for kind in kinds for name in panda.joint_names)]
+    lines = [",".join(header), *(",".join(map(repr, map(float, row))) for row in rows)]
+    found = judged("\n".join(lines), problem)
+    assert (found[0], found[1]["curve"]) == (code, curve)
+    assert [fault["kind"] for fault in found[1]["faults"]] == ["collision"] * code
+
+
 @pytest.mark.parametrize(("part", "words"), [(slice(40), "ends"), (slice(40, None), "begins")])
 def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     judged, region_problem, trajectory, part, words
@@ -205,6 +232,7 @@ def test_the_report_says_where_a_path_leaves_the_manifold(tmp_path, states, caps
         ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
         ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
         ("a.json", '{"points": 7}', "not understood"),
+        ("a.json", f'{{"points": [{POINT % 0}, {POINT % ""}]}}', "point 1 has no 'accelerations'"),
         ("a.json", "[" * 100_000, "not understood"),
         ("a.txt", "", "'.txt'"),
     ],
