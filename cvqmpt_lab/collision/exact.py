@@ -22,8 +22,8 @@ from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
 LONGEST_REACH = 20.0  # [m] of an arm with what it carries; more is a misplaced unit, and would never end
 INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)  # [m] of boxes in a broad phase, which then reports what is that close
-FARTHEST = 1e100  # [m] beyond this, coal found no pair to measure
-ROUNDING = 1e-6  # [m] coal's distances are no better than this
+ROUNDING = 1e-6
+"""[m] coal's GJK stops when a distance d [m] is known to ROUNDING (1 + d); what it returns is never less than d."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,13 @@ class CollidingPair:
 
     def __str__(self) -> str:
         return f"{self.first} and {self.second}"
+
+
+class Nearest(NamedTuple):
+    """The least distance of all pairs."""
+
+    distance: float  # [m], negative (penetration) in collision; inf without pairs
+    pair: CollidingPair | None
 
 
 class Solid(NamedTuple):
@@ -50,6 +57,7 @@ class _World(NamedTuple):
 
     phase: coal.DynamicAABBTreeCollisionManager
     objects: list[coal.CollisionObject]  # They must outlive the broad phase, which reads their boxes
+    boxes: np.ndarray  # (b, 2, 3), least and greatest corners [m]
 
 
 class CollisionChecker:
@@ -79,6 +87,7 @@ class CollisionChecker:
         self._links = [link for link in links if link[1].size() > 0]
         objects = self._geometry.geometryObjects
         self._pieces = [item.name for k, *_ in self._links for item in objects if item.parentJoint == k]
+        self._moving = [item for *_, items in self._links for item in items]
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments)))
         self._worlds: dict[float, _World] = {}
         self._callback = coal.CollisionCallBackDefault()
@@ -101,7 +110,7 @@ class CollisionChecker:
         q (k, n) lie in the hulls: distances there are compared with how far any point of a link can move.
         "No" may mean "not known".
         """
-        moved = self._sweep.in_world(q, hulls) + self._margin + ROUNDING
+        moved = self._needed(self._sweep.in_world(q, hulls))
         clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
         for k in np.flatnonzero(clear):
             pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q[k])
@@ -113,8 +122,16 @@ class CollisionChecker:
         """The same for links and what is carried against each other."""
         if len(self._geometry.collisionPairs) == 0:
             return np.ones(len(q), dtype=bool)
-        moved = self._sweep.between(q, hulls) + self._margin + ROUNDING
+        moved = self._needed(self._sweep.between(q, hulls))
         return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)])
+
+    def _needed(self, moved: np.ndarray) -> np.ndarray:
+        """What coal's distances must exceed [m] where points may have moved that far: with margin and rounding."""
+        return (moved + self._margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
+
+    def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
+        """The furthest [m] that any point of the robot can move from q (n,) inside the hull of corners (c, n)."""
+        return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
     def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
         """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
@@ -129,32 +146,46 @@ class CollisionChecker:
         pin.computeCollisions(self._model, self._data, self._geometry, self._own_results, q, False)
         for k, result in enumerate(self._own_results.collisionResults):
             if result.isCollision():
-                pair, objects = self._geometry.collisionPairs[k], self._geometry.geometryObjects
-                return CollidingPair(objects[pair.first].name, objects[pair.second].name)
+                return self._own_pair(k)
         self._own.update()
         request = self._callback.data.request
         request.security_margin = self._margin
-        pieces = [item for *_, objects in self._links for item in objects]
-        obstacles = self._world(0.0).objects
-        for j, i in np.argwhere(_box_gaps(obstacles, pieces) <= self._margin):
-            if coal.collide(pieces[i], obstacles[j], request, coal.CollisionResult()):
+        world = self._world(0.0)
+        for j, i in np.argwhere(_box_gaps(world.boxes, _boxes(self._moving)) <= self._margin):
+            if coal.collide(self._moving[i], world.objects[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
 
+    def _own_pair(self, k: int) -> CollidingPair:
+        pair, objects = self._geometry.collisionPairs[k], self._geometry.geometryObjects
+        return CollidingPair(objects[pair.first].name, objects[pair.second].name)
+
     def clearance(self, q: np.ndarray) -> float:
         """Smallest distance of all pairs [m]; zero or negative (penetration) in collision, inf without pairs."""
-        nearest, model, data = np.inf, self._model, self._data
-        if len(self._geometry.collisionPairs) == 0:
-            pin.updateGeometryPlacements(model, data, self._geometry, self._own_results, q)
-        else:
-            k = pin.computeDistances(model, data, self._geometry, self._own_results, q)
-            nearest = float(self._own_results.distanceResults[k].min_distance)
+        return self.nearest(q).distance
+
+    def nearest(self, q: np.ndarray) -> Nearest:
+        """The smallest distance of all pairs, measured pair by pair in the order of the gaps between their boxes.
+
+        coal's broad phases measure no distances here: they hand every pair the same result, which then holds the last
+        pair's distance, not the least.
+        """
+        nearest, geometry, results = Nearest(np.inf, None), self._geometry, self._own_results
+        pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
         self._own.update()
-        callback = coal.DistanceCallBackDefault()
-        for _, manager, _ in self._links:
-            manager.distance(self._world(0.0).phase, callback)
-            nearest = min(nearest, callback.data.result.min_distance)
-        return nearest if nearest < FARTHEST else np.inf
+        if len(geometry.collisionPairs) > 0:
+            k = pin.computeDistances(geometry, results)
+            nearest = Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
+        world = self._world(0.0)
+        gaps = _box_gaps(world.boxes, _boxes(self._moving))
+        close = np.argwhere(gaps <= max(nearest.distance, 0.0))
+        for j, i in close[gaps[*close.T].argsort(kind="stable")]:
+            if gaps[j, i] > max(nearest.distance, 0.0):
+                break
+            distance = _distance(self._moving[i], world.objects[j])
+            if distance < nearest.distance:
+                nearest = Nearest(distance, CollidingPair(self._pieces[i], self._obstacles[j].name))
+        return nearest
 
     def _world(self, inflation: float) -> _World:
         """The obstacles in boxes that are inflated [m]."""
@@ -168,7 +199,7 @@ class CollisionChecker:
             phase = coal.DynamicAABBTreeCollisionManager()
             phase.registerObjects(objects)
             phase.setup()
-            self._worlds[inflation] = _World(phase, objects)
+            self._worlds[inflation] = _World(phase, objects, _boxes(objects))
         return self._worlds[inflation]
 
     def _meets_obstacle(self, margins: np.ndarray) -> bool:
@@ -198,16 +229,22 @@ def _forget_guesses(results: pin.GeometryData) -> None:
             requests[k].gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
 
 
-def _box_gaps(first: list, second: list) -> np.ndarray:
-    """Distances (a, b) [m] between the boxes around coal's objects, a of the first and b of the second."""
-    low, high = (
-        np.array([getattr(o.getAABB(), end) for o in first]).reshape(-1, 1, 3) for end in ("min_", "max_")
-    )
-    least, most = (
-        np.array([getattr(o.getAABB(), end) for o in second]).reshape(-1, 3) for end in ("min_", "max_")
-    )
-    apart = np.maximum(low - most, least - high)
-    return np.linalg.norm(np.maximum(apart, 0.0), axis=2)
+def _distance(first: coal.CollisionObject, second: coal.CollisionObject) -> float:
+    """Distance [m] of two of coal's objects, negative when they overlap, whatever was measured before."""
+    return float(coal.distance(first, second, coal.DistanceRequest(), coal.DistanceResult()))
+
+
+def _boxes(objects: Sequence[coal.CollisionObject]) -> np.ndarray:
+    """Boxes around objects, (b, 2, 3): least and greatest corners [m]."""
+    found = [item.getAABB() for item in objects]
+    return np.array([(box.min_, box.max_) for box in found]).reshape(-1, 2, 3)
+
+
+def _box_gaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Distances (a, b) [m] between boxes (a, 2, 3) and (b, 2, 3)."""
+    apart = np.maximum(first[:, None, 0] - second[:, 1], second[:, 0] - first[:, None, 1])
+    apart = np.maximum(apart, 0.0)
+    return np.sqrt(np.einsum("abi,abi->ab", apart, apart))
 
 
 def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:

@@ -2,14 +2,18 @@
 
 import time
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import ROUNDING, CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.coal_shapes import transform
+from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -66,6 +70,30 @@ def test_margin_is_a_distance(panda, method):
     clearance = CollisionChecker(panda, scene).clearance(HOME)
     for margin, touching in ((clearance - 1e-3, False), (clearance - 1e-4, False), (clearance + 1e-4, True)):
         assert method(CollisionChecker(panda, scene, margin=margin), HOME) == touching
+
+
+def least_of_all_pairs(checker, q):
+    """Least distance, by a request of its own a pair."""
+    model, geometry = checker.robot.model, checker._geometry
+    placed = pin.GeometryData(geometry)
+    pin.updateGeometryPlacements(model, model.createData(), geometry, placed, q)
+    objects = geometry.geometryObjects
+    own = [(item.geometry, transform(T.homogeneous)) for item, T in zip(objects, placed.oMg, strict=True)]
+    others = [(item.shape, transform(item.T_parent_shape)) for item in checker._obstacles]
+    pairs = [(own[pair.first], own[pair.second]) for pair in geometry.collisionPairs]
+    pairs += [(own[i], other) for i, item in enumerate(objects) if item.parentJoint > 0 for other in others]
+    return min(coal.distance(*a, *b, coal.DistanceRequest(), coal.DistanceResult()) for a, b in pairs)
+
+
+def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda):
+    """coal's broad phases hand every pair the same result: clearances were once up to 0.1 m too large."""
+    checker = CollisionChecker(panda, random_scene(3), (carried_can(),))
+    states = panda.random_configurations(np.random.default_rng(9), 120)
+    found = [checker.nearest(q) for q in states]
+    least = [least_of_all_pairs(checker, q) for q in states]
+    assert [near.distance for near in found] == pytest.approx(least, abs=2.0 * ROUNDING)
+    assert {near.distance > 0.0 for near in found} == {True, False}
+    assert [checker.nearest(q) for q in states[::-1]] == found[::-1]
 
 
 def test_the_carried_can_collides_with_a_box_in_front(panda):
