@@ -10,8 +10,7 @@ import numpy as np
 
 from cli.options import log, numbers, positive
 from cli.robot_options import add_problem, problem_asked
-from cvqmpt_lab.certificate import TOLERANCE, FaultKind
-from cvqmpt_lab.collision.exact import ROUNDING
+from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import DryRun, dry_run
 from cvqmpt_lab.problem import PlanningProblem
@@ -38,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge and print; exit code 1 when anything is refused."""
+    """Judge and print; exit code 1 when anything is refused or not proven."""
     if args.path.is_dir():
         if args.suite or args.problem_file or args.current:
             raise InvalidInputError("the rows of a run name their problems; give the directory alone")
@@ -54,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(_data(found), indent=1, allow_nan=False))
     else:
-        print("\n".join(_report(found, problem)))
+        print("\n".join(_report(found, problem.name)))
     return 0 if found.certificate.valid else 1
 
 
@@ -63,20 +62,21 @@ def _where(found: DryRun, at: float) -> str:
     if found.times is not None:
         return f"at {np.interp(at, np.arange(len(found.times)), found.times):.4f} s"
     states, k = found.states[: int(at) + 2], int(at)
-    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-    along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
+    with np.errstate(all="ignore"):
+        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+        along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
     return f"at state {at:.4g}, {along:.4f} rad along" if math.isfinite(along) else f"at state {at:.4g}"
 
 
-def _report(found: DryRun, problem: PlanningProblem) -> list[str]:
+def _report(found: DryRun, problem: str) -> list[str]:
     """The lines a person reads."""
     certificate = found.certificate
     what = (
         "path" if found.times is None else f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
     )
     states = "x".join(map(str, np.shape(found.states)))
-    verdict = "yes" if certificate.valid else "NO"
-    lines = [f"certified   {verdict}: {what}, {states} states, problem {problem.name}"]
+    verdict = {Verdict.VALID: "yes", Verdict.REFUSED: "NO"}.get(certificate.verdict, "NOT PROVEN")
+    lines = [f"certified   {verdict}: {what}, {states} states, problem {problem}"]
     for fault in certificate.faults:
         where = "" if fault.at is None else f", {_where(found, fault.at)}"
         lines.append(f"fault       {fault.text}{where}")
@@ -87,27 +87,16 @@ def _report(found: DryRun, problem: PlanningProblem) -> list[str]:
         f"{TOLERANCE:g} is allowed"
     )
     lines.append(f"clearance   {1e3 * certificate.min_clearance_m:.2f} mm, the smallest found")
-    return [*lines, f"resolution  {_resolution(found, problem)}"]
+    return [*lines, f"resolution  {_resolution(found)}"]
 
 
-def _resolution(found: DryRun, problem: PlanningProblem) -> str:
-    """How finely the motion is known to be free, and what limits that."""
+def _resolution(found: DryRun) -> str:
+    """Whether every state is known to be free, and by how many looks."""
     certificate = found.certificate
-    looks = f"{certificate.states_checked} looks"
+    collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
+    proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
     curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
-    if certificate.unproven_at is None:
-        collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
-        which = "every state before that collision" if collides else "every state"
-        return f"no gaps: {which} is proven, by {looks}{curve}"
-    k = min(int(certificate.unproven_at), len(found.states) - 2)
-    share = certificate.unproven_at - k
-    q = found.states[k] + share * (found.states[k + 1] - found.states[k])
-    gap = problem.collision_checker().clearance(q)
-    pair = problem.collision_checker(max(gap, 0.0) + 10.0 * ROUNDING).colliding_pair(q)
-    return (
-        f"{certificate.unproven_rad:.1g} rad, by {looks}{curve}: {_where(found, certificate.unproven_at)} "
-        f"{pair} are {1e3 * gap:.4f} mm apart"
-    )
+    return f"{'gaps' if certificate.unproven_rad > 0.0 else proven}, by {certificate.states_checked} looks{curve}"
 
 
 def _data(found: DryRun) -> dict[str, Any]:
@@ -124,6 +113,7 @@ def _data(found: DryRun) -> dict[str, Any]:
         figures[name] = value if value is not None and math.isfinite(value) else None
     return {
         "valid": certificate.valid,
+        "verdict": str(certificate.verdict),
         "faults": faults,
         "apart_m": found.apart,
         "curve": found.curve,

@@ -74,9 +74,10 @@ def _constraint(problem: PlanningProblem, uses: Sequence[BoundUse], has_path: bo
 def _verdict(solution: Solution) -> str:
     certificate = solution.certificate
     assert certificate is not None
-    verdict = "valid" if certificate.valid else "INVALID: " + "; ".join(certificate.reasons)
-    gaps = f", {certificate.unproven_rad:.1g} rad not proven" if certificate.unproven_rad > 0 else ", no gaps"
-    seen = f"{certificate.states_checked} states{gaps if certificate.valid else ''}"
+    verdict = str(certificate.verdict)
+    if not certificate.valid:
+        verdict = f"{verdict.upper()}: {'; '.join(certificate.reasons)}"
+    seen = f"{certificate.states_checked} states{', no gaps' if certificate.valid else ''}"
     return f"{verdict} ({seen}, clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
 
 
@@ -109,7 +110,12 @@ def as_json(solution: Solution, planner: str) -> str:
         "length_rad": shorter.path.length if shorter else None,
         "optimize": more and vars(more) | {"budget": vars(more.budget), "gained": more.gained},
         "certificate": certificate
-        and vars(certificate) | {"valid": certificate.valid, "reasons": list(certificate.reasons)},
+        and vars(certificate)
+        | {
+            "valid": certificate.valid,
+            "verdict": str(certificate.verdict),
+            "reasons": list(certificate.reasons),
+        },
         "path": shorter.path.states.tolist() if shorter else None,
     }
     return json.dumps(_finite(data), indent=1, allow_nan=False)

@@ -20,6 +20,15 @@ TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too
 LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
 END_TOLERANCE = 1e-6  # [rad] at start and goal
 CLEARANCE_STATES = 8  # with the least room in the proof, at which distances are measured
+FAR = 100.0  # [rad or m] beyond limits, or of length beyond LARGEST_STEP a step: no proof is tried
+
+
+class Verdict(StrEnum):
+    """What a certificate says of a path; only a valid one is certified."""
+
+    VALID = "valid"  # no fault, and every state proven
+    REFUSED = "refused"  # a fault was found
+    NOT_PROVEN = "not proven"  # none was found, but a stretch could not be proven
 
 
 class FaultKind(StrEnum):
@@ -32,6 +41,7 @@ class FaultKind(StrEnum):
     LIMITS = "limits"
     MANIFOLD = "manifold"
     COLLISION = "collision"
+    NOT_PROVEN = "not_proven"
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
     CURRENT = "current"
@@ -57,12 +67,20 @@ class Certificate:
     )
     states_checked: int  # configurations at which distances were compared
     unproven_rad: float = 0.0  # longest stretch not proven free although its middle is free [rad]
-    unproven_at: float | None = None  # the middle of that stretch, as `Fault.at`
+    unproven_m: float = 0.0  # the furthest that a point of the robot can move in half of that stretch [m]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Valid, refused, or not proven: the latter when no fault but missing proofs are known."""
+        if not self.faults:
+            return Verdict.VALID
+        missing = all(fault.kind is FaultKind.NOT_PROVEN for fault in self.faults)
+        return Verdict.NOT_PROVEN if missing else Verdict.REFUSED
 
     @property
     def valid(self) -> bool:
-        """Whether there is no fault."""
-        return not self.faults
+        """Whether there is no fault and every state is proven."""
+        return self.verdict is Verdict.VALID
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -76,27 +94,36 @@ def certify(
     """Judge every state of a path: collision, limits, constraint; and its step size, start and goal."""
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
-    if unusable is not None:
-        return Certificate((unusable,), np.nan, np.nan, np.nan, 0)
+    if unusable:
+        return Certificate(unusable, np.nan, np.nan, np.nan, 0)
     violation = largest_violation(problem.robot, problem.constraint, path.states, SPACING, TOLERANCE)
     proof = prove_free(checker, path.states)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.largest > TOLERANCE:
+        seen = max(violation.radians, violation.metres) > TOLERANCE
+        kind = FaultKind.MANIFOLD if seen else FaultKind.NOT_PROVEN
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
-        if max(violation.radians, violation.metres) <= TOLERANCE:
+        if not seen:
             text += f" where it was looked at, not shown to be less than {violation.largest:.2g} in between"
-        faults.append(Fault(FaultKind.MANIFOLD, text, _place(path.states, violation.at)))
+        faults.append(Fault(kind, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
         text = f"in collision: {checker.colliding_pair(proof.colliding)}"
         faults.append(Fault(FaultKind.COLLISION, text, _place(path.states, proof.colliding)))
+    moved = 0.0
+    if proof.unproven is not None:
+        length, q, hull = proof.unproven
+        moved, (gap, pair) = checker.moved(q, hull), checker.nearest(q)
+        text = f"not proven free over {length:.1g} rad, {1e3 * moved:.1g} mm to each side of the middle"
+        text += f", where {pair} are {1e3 * gap:.2g} mm apart"
+        faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
     return Certificate(
         tuple(faults),
         violation.radians,
         violation.metres,
         _clearance(checker, proof) if clearance else np.nan,
         proof.looks,
-        proof.unproven,
-        _place(path.states, proof.unproven_at),
+        proof.unproven.length if proof.unproven else 0.0,
+        moved,
     )
 
 
@@ -117,13 +144,18 @@ def _clearance(checker: CollisionChecker, proof: MotionProof) -> float:
     return min(checker.clearance(q) for q in places)
 
 
-def _unusable(problem: PlanningProblem, states: np.ndarray) -> Fault | None:
-    """Why states are no path of this robot, or None."""
+def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]:
+    """Why states are no path of this robot, or too far apart or outside its limits to be looked at."""
     if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
         text = f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
-        return Fault(FaultKind.SHAPE, text)
+        return (Fault(FaultKind.SHAPE, text),)
     finite = np.isfinite(states).all(axis=1)
-    return None if finite.all() else Fault(FaultKind.SHAPE, "a state is not finite", float(finite.argmin()))
+    if not finite.all():
+        return (Fault(FaultKind.SHAPE, "a state is not finite", float(finite.argmin())),)
+    with np.errstate(over="ignore"):
+        too_long = JointPath(states).length > LARGEST_STEP * (len(states) - 1) + FAR
+        beyond = np.maximum(problem.robot.lower - states, states - problem.robot.upper).max()
+        return tuple(_motion_faults(problem, JointPath(states))) if too_long or beyond > FAR else ()
 
 
 def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
@@ -144,7 +176,7 @@ def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     faults, states = [], path.states
     steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
     if steps.max() > LARGEST_STEP:
-        faults.append(Fault(FaultKind.STEP, f"a step of {steps.max():.3f} rad", float(steps.argmax())))
+        faults.append(Fault(FaultKind.STEP, f"a step of {steps.max():.3g} rad", float(steps.argmax())))
     beyond = np.maximum(problem.robot.lower - states, states - problem.robot.upper).max(axis=1)
     worst = int(beyond.argmax())
     outside = problem.robot.joint_outside_limits(states[worst])

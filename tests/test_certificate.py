@@ -1,12 +1,14 @@
 """The certificate: it accepts a planned path and rejects every kind of broken one."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cvqmpt_lab.certificate import TOLERANCE, certify
+from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict, certify
 from cvqmpt_lab.constraints import between_states
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import JointPath
@@ -33,10 +35,43 @@ def test_a_planned_path_is_accepted(problem, solution, states):
 
 def test_what_was_not_shown_between_states_is_not_called_off_the_manifold_there(problem, states, monkeypatch):
     monkeypatch.setattr(between_states, "ROUNDS", 0)
-    (reason,) = reasons(problem, states)
-    assert reason.startswith(
-        "off the manifold by 0 rad, 0 m where it was looked at, not shown to be less than"
+    certificate = certify(problem, JointPath(states), clearance=False)
+    assert certificate.verdict is Verdict.NOT_PROVEN and not certificate.valid
+    assert certificate.reasons[0].startswith(
+        "off the manifold by 0 rad, 0 m where it was looked at, not shown"
     )
+
+
+def touching(problem, states, gap):
+    """A problem of two states only, and a ball that is a gap [m] away at the first, behind what moves."""
+    (a, b), scene = (problem.robot.pose(q)[:3, 3] for q in states[:2]), problem.scene
+    ball = SceneObject("ball", Sphere(1e-3), pose(a + 0.1 * (a - b) / np.linalg.norm(a - b)))
+    room = replace(problem, scene=scene.with_objects(ball)).collision_checker().nearest(states[0])
+    assert room.pair.second == "ball"
+    scene = scene.with_objects(replace(ball, shape=Sphere(1e-3 + room.distance - gap)))
+    return replace(problem, scene=scene, goals=states[1:2])
+
+
+def test_a_path_that_begins_too_close_to_an_obstacle_for_a_proof_is_not_proven(problem, states):
+    """At 0.5 um, less than what coal's distances are rounded to; at 10 um it is proven."""
+    certificate = certify(touching(problem, states, 5e-7), JointPath(states[:2]))
+    assert certificate.verdict is Verdict.NOT_PROVEN and not certificate.valid
+    (fault,) = certificate.faults
+    assert fault.kind is FaultKind.NOT_PROVEN and "ball" in fault.text and 0.0 <= fault.at < 1.0
+    assert certificate.unproven_rad > 0.0 and 0.0 < certificate.unproven_m < 1e-3
+    assert certify(touching(problem, states, 1e-5), JointPath(states[:2])).verdict is Verdict.VALID
+
+
+@pytest.mark.parametrize("far", [1e5, 1e160, 1e300])
+def test_states_far_apart_are_refused_at_once(problem, states, far):
+    for wild in (np.array([states[0], states[0] + far]), np.full((2, 7), far), far * np.eye(7)):
+        began = time.process_time()
+        found = certify(problem, JointPath(wild))
+        assert time.process_time() - began < 1.0
+        assert found.verdict is Verdict.REFUSED and {fault.kind for fault in found.faults} <= {
+            "step",
+            "limits",
+        }
 
 
 def test_a_collision_between_the_states_is_found(problem, states):

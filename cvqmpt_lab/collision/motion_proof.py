@@ -1,20 +1,25 @@
 """Whether a motion is free at every state of it, not only at samples.
 
 In the middle of a stretch, distances by coal are compared with how far any link can move inside it. A stretch that
-is not proven is cut; where the robot is so close that this leads nowhere, stretches of FINEST are passed when their
-middle is free, and the proof says so. Nothing depends on which of several pairs coal finds first: that is chance.
+is not proven is cut, down to FINEST; one that is not proven even then is reported, although its middle is free.
+Nothing depends on which of several pairs coal finds first: that is chance.
 """
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 
 LONGEST = 0.2  # [rad] half of a stretch that is tried first
-FINEST = 1e-4  # [rad] half of a stretch that is passed when it cannot be proven and its middle is free
+FINEST = (
+    1e-7  # [rad] half of a stretch that is not cut further when it cannot be proven and its middle is free
+)
+COARSE = 1e-4  # [rad] the same after the first such stretch, or after MOST_FINE looks at shorter ones
+MOST_FINE = 4000  # about 0.2 s; else sliding along an obstacle at micrometres would take hours
 DOUBTFUL = 0.01
 """[rad] half of a stretch, or less, whose middle is asked for a collision when it cannot be proven."""
 PARTS = 2  # Into which such a stretch is cut
@@ -22,16 +27,22 @@ BATCH = 64
 """Stretches looked at together; they are next to each other, so that little is wasted before a collision."""
 
 
+class Unproven(NamedTuple):
+    """A stretch that is not proven free although its middle is."""
+
+    length: float  # [rad]
+    middle: np.ndarray  # (n,)
+    hull: np.ndarray  # (c, n), its ends and the states between them
+
+
 @dataclass(frozen=True, eq=False)
 class MotionProof:
     """What is known of a motion."""
 
     colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
-    unproven: float
-    """Length of the longest stretch that was passed without a proof [rad]; 0 when there is none."""
+    unproven: Unproven | None  # the longest such stretch; None when there is none, or a collision
     tightest: np.ndarray  # (k, n), middles of all stretches, those proven with the least room first
     looks: int  # Configurations looked at
-    unproven_at: np.ndarray | None = None  # (n,), the middle of the longest such stretch
 
 
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
@@ -41,9 +52,11 @@ def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     if obstacles.colliding is not None:
         return obstacles
     itself = _walk(line, checker.clear_of_itself, checker.in_collision)
-    worse = max(obstacles, itself, key=lambda proof: proof.unproven)
     looks = obstacles.looks + itself.looks
-    return MotionProof(itself.colliding, worse.unproven, obstacles.tightest, looks, worse.unproven_at)
+    if itself.colliding is not None:
+        return replace(itself, looks=looks)
+    unproven = max(obstacles.unproven, itself.unproven, key=lambda it: it.length if it else 0.0)
+    return MotionProof(None, unproven, obstacles.tightest, looks)
 
 
 def _walk(
@@ -52,27 +65,30 @@ def _walk(
     hits: Callable[[np.ndarray], bool],
 ) -> MotionProof:
     """Prove stretch after stretch; clear: see `CollisionChecker.clear_of_obstacles`."""
-    ahead, looks, unproven = deque(_parts(0.0, 0.5 * line.length, LONGEST)), 0, 0.0
-    unproven_at: np.ndarray | None = None
+    ahead, looks, fine = deque(_parts(0.0, 0.5 * line.length, LONGEST)), 0, 0
+    unproven: Unproven | None = None
     proven: list[tuple[float, np.ndarray]] = []
     while ahead:
         batch = [ahead.popleft() for _ in range(min(BATCH, len(ahead)))]
         middles, hulls = line.stretches(np.array(batch))
         left: list[tuple[float, float]] = []
-        for (begin, half), middle, free in zip(batch, middles, clear(middles, hulls), strict=True):
+        for (begin, half), middle, hull, free in zip(
+            batch, middles, hulls, clear(middles, hulls), strict=True
+        ):
             looks += 1
+            fine += half < COARSE
             if not free:
                 if half <= DOUBTFUL and hits(middle):
-                    return MotionProof(middle, unproven, np.empty((0, len(middle))), looks)
-                if half > FINEST:
+                    return MotionProof(middle, None, np.empty((0, len(middle))), looks)
+                if half > (COARSE if unproven or fine > MOST_FINE else FINEST):
                     left += _parts(begin, half, half / PARTS)
                     continue
-                if 2.0 * half > unproven:
-                    unproven, unproven_at = 2.0 * half, middle
+                if unproven is None or 2.0 * half > unproven.length:
+                    unproven = Unproven(2.0 * half, middle, hull)
             proven.append((half, middle))
         ahead.extendleft(reversed(left))
     order = np.argsort([half for half, _ in proven], kind="stable")
-    return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks, unproven_at)
+    return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks)
 
 
 def _parts(begin: float, half: float, aim: float) -> list[tuple[float, float]]:

@@ -43,6 +43,7 @@ class FailReason(StrEnum):
     UNCERTIFIED_LIMITS = "uncertified_limits"
     UNCERTIFIED_MANIFOLD = "uncertified_manifold"
     UNCERTIFIED_COLLISION = "uncertified_collision"
+    UNCERTIFIED_NOT_PROVEN = "uncertified_not_proven"
     NOT_TIMED = "not_timed"
     NOT_REACHED = "not_reached"
     WORKER_DIED = "worker_died"

@@ -9,6 +9,7 @@ import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -74,6 +75,22 @@ def test_paths_in_every_form_are_certified(judged, states, region_problem):
         code, found = judged(text, name=name)
         assert code == 0 and found["valid"] and found["faults"] == [] and found["unproven_rad"] == 0.0
     assert found["min_clearance_m"] > 0.0 and found["states_checked"] > 10
+
+
+def test_what_is_not_proven_is_not_certified(judged, states, monkeypatch):
+    monkeypatch.setattr(between_states, "ROUNDS", 0)
+    code, found = judged(states)
+    (fault,) = found["faults"]
+    assert code == 1 and not found["valid"] and found["verdict"] == "not proven"
+    assert fault["kind"] == "not_proven" and fault["state"] is not None
+
+
+@pytest.mark.parametrize("far", [1e5, 1e300])
+def test_states_far_apart_are_refused_in_a_line_each(tmp_path, capsys, states, far):
+    np.savetxt(tmp_path / "a.csv", np.array([states[0], states[0] + far]), delimiter=",", fmt="%.17g")
+    assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
+    out = capsys.readouterr()
+    assert out.err == "" and len(out.out.splitlines()) == 3 and max(map(len, out.out.splitlines())) < 120
 
 
 def until(state, direction, reached):
