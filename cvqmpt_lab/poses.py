@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Array, FloatArray, Schema
+from cvqmpt_lab.codec.forms import LARGEST, Array, FloatArray, Schema
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 
@@ -85,6 +85,8 @@ class PoseForm:
             fault = f"last row is {T[3].tolist()}, not 0 0 0 1"
         elif np.abs(R).max() > 2.0 or not (np.abs(R @ R.T - np.eye(3)) <= ORTHONORMAL).all():
             fault = "rotation part is not orthonormal"
+        elif not (off := np.abs(T[:3, 3]).max()) <= LARGEST:
+            fault = f"position is {off:.3g} m off, more than {LARGEST:g}; give metres"
         elif np.linalg.det(R) < 0.0:
             fault = "rotation part is mirrored"
         else:

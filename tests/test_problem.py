@@ -13,7 +13,7 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, shape_vertices
 from experiments.suites.place_task import place_problem
 
 DATA = Path(__file__).parent / "data"
@@ -74,6 +74,13 @@ def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, miss
 
 
 MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
+FAR, HERE = pose((1e300, 0.0, 0.0)).tolist(), np.eye(4).tolist()
+FAR_CLOUD = {"type": "point_cloud", "points": [[1e300, 0.0, 0.0]], "radius": 0.01}
+LEAF = {"name": "leaf", "T": HERE, "vertices": shape_vertices(Box((1.0, 1.0, 1.0))).tolist()}
+DOOR_OF_FAR_CASING = {"name": "door", "kind": "hinge", "T_world_joint": HERE, "lower": 0.0, "upper": 1.0} | {
+    "parts": [LEAF],
+    "casing": [LEAF | {"name": "post", "T": FAR}],
+}
 
 
 @pytest.mark.parametrize(
@@ -98,7 +105,16 @@ MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
         ("attachments", ["can"], r"attachments\[0\] is 'can'"),
         ("attachments.0.T_hand_object", [1], "has shape"),
         ("attachments.0.T_hand_object", MIRRORED, "mirrored"),
+        (
+            "attachments.0.T_hand_object",
+            FAR,
+            r"T_hand_object is no rigid pose: its position is 1e\+300 m off",
+        ),
         ("attachments.0.shape", {"type": "cone"}, "'cone'"),
+        ("attachments.0.shape", {"type": "sphere", "radius": 1e300}, "positive length, up to 1e\\+06"),
+        ("attachments.0.shape", FAR_CLOUD, r"shape.points holds 1e\+300, more than 1e\+06; give metres"),
+        ("constraint.0.Tw_e", FAR, r"constraint\[0\].Tw_e is no rigid pose: its position is 1e\+300 m off"),
+        ("robot.articulated", DOOR_OF_FAR_CASING, r"casing\[0\].T is no rigid pose: its position"),
         ("attachments.0.name", 5, r"attachments\[0\].name is 5"),
         ("name", "two\nlines", "printable"),
     ],

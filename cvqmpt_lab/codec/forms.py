@@ -14,6 +14,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Schema: TypeAlias = Callable[[Any], dict[str, Any]]
+LARGEST = 1e6  # [m] of a length or a coordinate: more is a misplaced unit, whose powers overflow
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Array:
 
     shape: tuple[int | None, ...]  # None for any length
     what: str = "numbers"  # what they are, with the unit
+    largest: float = np.inf  # number that is understood, either sign
 
     def read(self, value: Any, where: str) -> FloatArray:
         """Refuse another shape, NaN and infinity."""
@@ -58,6 +60,8 @@ class Array:
         if not np.isfinite(array).all():
             index = ", ".join(str(i) for i in np.argwhere(~np.isfinite(array))[0])
             raise InvalidInputError(f"{where}[{index}] is NaN or infinite; it must be finite")
+        if (most := np.abs(array).max(initial=0.0)) > self.largest:
+            raise InvalidInputError(f"{where} holds {most:.3g}, more than {self.largest:g}; give metres")
         array.setflags(write=False)
         return array
 
@@ -145,10 +149,25 @@ Name = Annotated[
         str, lambda s: 0 < len(s) <= 200 and s.isprintable(), "1 to 200 printable characters", NAME_LENGTHS
     ),
 ]
+UP_TO = f"up to {LARGEST:g} [m]"
 Length = Annotated[
-    float, Condition(float, lambda x: x > 0.0, "a positive length [m]", {"exclusiveMinimum": 0})
+    float,
+    Condition(
+        float,
+        lambda x: 0.0 < x <= LARGEST,
+        f"a positive length, {UP_TO}",
+        {"exclusiveMinimum": 0, "maximum": LARGEST},
+    ),
 ]
-Padding = Annotated[float, Condition(float, lambda x: x >= 0.0, "a length of 0 or more [m]", {"minimum": 0})]
+Padding = Annotated[
+    float,
+    Condition(
+        float,
+        lambda x: 0.0 <= x <= LARGEST,
+        f"a length of 0 or more, {UP_TO}",
+        {"minimum": 0, "maximum": LARGEST},
+    ),
+]
 
 
 def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:

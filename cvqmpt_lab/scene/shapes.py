@@ -10,11 +10,11 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name, Padding, Tagged
+from cvqmpt_lab.codec.forms import LARGEST, Array, FloatArray, Length, Name, Padding, Tagged
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
-Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]")]
+Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", LARGEST)]
 FINEST = 1e-3  # [m] edge of a map's cells, below which indices would be measuring noise
 FARTHEST_CELL = 1_000_000  # along an axis
 MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise
