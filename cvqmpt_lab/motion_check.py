@@ -82,9 +82,9 @@ def dry_run(
         )
         certificate = replace(certificate, faults=every)
         runs.append(DryRun(certificate, states, times, apart, name))
-        if not certificate.valid:
+        if certificate.faults:
             return runs[-1]
-    return min(runs, key=lambda run: run.certificate.min_clearance_m)
+    return min(runs, key=lambda run: (run.certificate.valid, run.certificate.min_clearance_m))
 
 
 def _curves(motion: Motion) -> dict[str, PPoly]:
