@@ -115,27 +115,30 @@ class World:
         raise InvalidInputError(f"phase {phase.name!r} is planned: its end is not known before")
 
     def _grasped(self, phase: Grasp) -> "World":
-        item, source = self.scene[phase.object], {**self.source, **phase.gripper}
+        item, source, expected = self.scene[phase.object], {**self.source, **phase.gripper}, phase.attachment
         T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
-        around = CollisionChecker(
-            robot_from_source(source), Scene(item.name, (replace(item, obstacle=True),)), margin=IN_HAND
-        )
-        if around.clear_of_obstacles(self.q[None], self.q[None, None]).all():
-            raise InvalidInputError(
-                f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the hand; "
-                "let the phase before end at the object"
-            )
-        if phase.attachment is not None:
-            off, turn = _offset(item.shape, phase.attachment.T_hand_object, T_hand_object)
+        if expected is not None:
+            off, turn = _offset(item.shape, expected.T_hand_object, T_hand_object)
             if off > IN_HAND or turn > TURNED:
                 raise InvalidInputError(
-                    f"phase {phase.name!r}: {phase.object!r} is {off:.3f} m and {turn:.2f} rad from where the hand "
+                    f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from where the hand "
                     f"closes by its attachment, at most {IN_HAND} m and {TURNED} rad are allowed; let the phase before "
                     "end at the object, or leave 'attachment' out"
                 )
-        name = item.name if phase.attachment is None else phase.attachment.name
-        held = Load(item, Attachment(name, item.shape, T_hand_object))
+        elif _beyond(robot_from_source(source), item, self.q):
+            raise InvalidInputError(
+                f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let the phase before end "
+                "at the object, or say by an 'attachment' where a hand without collision bodies holds it"
+            )
+        held = Load(item, Attachment(expected.name if expected else item.name, item.shape, T_hand_object))
         return World(source, self.scene.without(phase.object), self.q, held)
+
+
+def _beyond(robot: Robot, item: SceneObject, q: np.ndarray) -> bool:
+    """Whether an object is further than IN_HAND from every link at q (n,)."""
+    scene = Scene(item.name, (replace(item, obstacle=True),))
+    checker = CollisionChecker(robot, scene, margin=IN_HAND)
+    return bool(checker.clear_of_obstacles(q[None], q[None, None]).all())
 
 
 def _offset(shape: Shape, T_expected: np.ndarray, T: np.ndarray) -> tuple[float, float]:

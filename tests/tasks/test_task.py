@@ -95,7 +95,7 @@ def test_phases_that_cannot_follow_are_refused(task, spoil, message):
 
 def test_a_hand_that_closes_where_nothing_is(task):
     start = World.before(task)
-    with pytest.raises(InvalidInputError, match=r"'grasp-can': 'can' is more than 0.02 m from the hand"):
+    with pytest.raises(InvalidInputError, match=r"'grasp-can': 'can' is more than 0.02 m from the arm"):
         start.after(next(phase for phase in task.phases if isinstance(phase, Grasp)))
 
 
