@@ -15,7 +15,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.self_collision import srdf_text
+from cvqmpt_lab.robot.self_collision import OVERLAP, srdf_text
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
@@ -121,8 +121,8 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield f"pairs        {len(robot.self_collision_pairs)} of pieces are checked; left out, of links: {left}"
     for pair in robot.left_out_pairs:
-        if pair.reason == "Always":
-            yield f"             {pair.first} and {pair.second} overlap whatever the joints: not checked"
+        if pair.reason.startswith(OVERLAP):
+            yield f"             {pair.first} and {pair.second} {pair.reason}: not checked"
     free = 100.0 * said["share_free_of_self_collision"]
     yield f"free         {free:.0f} % of random configurations do not collide with themselves"
     if robot.acceleration_limits is None:

@@ -4,6 +4,7 @@ import copyreg
 import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -122,7 +123,6 @@ def _built(source: Mapping[str, Any]) -> Robot:
     axes = axis_frames(model)
     links = tuple(link_geometry(g, axes) for g in geometry.geometryObjects)
     kinematics = kinematics_arrays(model, axes)
-    left_out = left_out_pairs(model, geometry, links, kinematics, Path(files.srdf) if files.srdf else None)
     accelerations = None
     if files.acceleration_limits is not None:
         names = list(model.names)[1:]
@@ -137,13 +137,16 @@ def _built(source: Mapping[str, Any]) -> Robot:
         end_effector_link=in_link(axes, hand.parentJoint, hand.placement),
         kinematics=kinematics,
         links=links,
-        self_collision_pairs=checked_pairs(model, geometry, left_out),
-        left_out_pairs=left_out,
+        self_collision_pairs=(),
         held_joints=held,
         acceleration_limits=accelerations,
     )
     _refuse_far(robot, urdf)
-    return robot
+    left_out = left_out_pairs(
+        model, geometry, links, kinematics, urdf, Path(files.srdf) if files.srdf else None
+    )
+    pairs = checked_pairs(model, geometry, left_out)
+    return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
 
 
 def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pin.Model, pin.GeometryModel]:

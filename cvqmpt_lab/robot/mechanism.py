@@ -15,7 +15,7 @@ from cvqmpt_lab.codec.plain import Checked, to_plain, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
-from cvqmpt_lab.robot.robot import Robot, axis_frames, kinematics_arrays
+from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
 
 JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 
@@ -80,6 +80,8 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     pairs += [(i, k) for k in casing for i in arm if objects[i].parentJoint != 0]
     for i, k in pairs:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
+    left_out = [LeftOut(*names, "may touch") for names in item.may_touch]
+    left_out += [LeftOut(part.name, fixed.name, "casing") for part in item.parts for fixed in item.casing]
     frames = axis_frames(model)
     accelerations = robot.acceleration_limits
     return replace(
@@ -91,6 +93,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         kinematics=kinematics_arrays(model, frames),
         links=(*robot.links, *(link_geometry(objects[k], frames) for k in (*parts, *casing))),
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
+        left_out_pairs=(*robot.left_out_pairs, *left_out),
         acceleration_limits=None if accelerations is None else np.append(accelerations, item.acceleration),
     )
 

@@ -24,11 +24,16 @@ DIGEST_DECIMALS = (
 
 
 class LeftOut(NamedTuple):
-    """Two links that are not checked against each other."""
+    """Two links, or a link and a piece of a door, that are not checked against each other, and why.
+
+    Reasons: "SRDF: " and the word of its maker; "fixed to each other"; "adjacent" (one joint between them); "proven
+    apart" (at all joint values); "overlap in N % of random states" (convex hulls too large, on the word of sampling);
+    "may touch" (a hand and the door it holds, on the word of the problem file); "casing" (a door and its fixed frame).
+    """
 
     first: str
     second: str
-    reason: str  # as in an SRDF: Adjacent, Always, Never, or what the file says
+    reason: str  # as in the docstring
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,15 @@
-"""Which pairs of links are checked against each other: by an SRDF, or found by sampling and cached as one.
+"""Which pairs of links are checked against each other: all but those for which there is a reason not to.
 
-Without an SRDF, a pair is left out if its links are neighbours, if they overlap in nearly every random
-configuration, or if they come closer than `NEAR` in none. The result depends on the robot alone.
+An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are fixed to each other
+or neighbours (one joint moves them, and no other body lies between), if they are proven to stay `GAP` apart at all
+joint values, or if they overlap in nearly every random configuration. All others are checked. The result depends on the
+robot alone and is cached.
 """
 
 import contextlib
 import hashlib
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -15,18 +17,22 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.disk_cache import read_cached, write_cached
+from cvqmpt_lab.disk_cache import read_cached, sources_digest, write_cached
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import cache_folder, read_text
+from cvqmpt_lab.files import read_text
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
+from cvqmpt_lab.robot.proven_apart import proven_apart
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry
+from cvqmpt_lab.robot.urdf import Urdf
 
 SAMPLES = 2000  # random configurations
-NEAR = 0.02  # [m] a pair that comes so near in one of them is checked
+GAP = 0.01  # [m] a pair that may come so near is checked
 ALWAYS = 0.95  # share of them in which two hulls overlap "always": because of their shapes, not of the configuration
 SPREAD = 0.15  # by which the share among `CHUNK` of them may be smaller: five standard deviations
 CHUNK = 50  # configurations after which pairs that are decided are dropped
-VERSION = b"3"  # of the rule; another number makes cached files invalid
+FIXED, ADJACENT, APART = "fixed to each other", "adjacent", "proven apart"  # reasons for leaving out a pair
+OVERLAP, FROM_SRDF = "overlap in ", "SRDF: "  # before the share of random states; before what an SRDF says
+SOURCES = sources_digest(Path(__file__).parent)  # of the rule: other sources make cached files invalid
 
 Pair = tuple[str, str]  # names of two links
 
@@ -36,31 +42,68 @@ def left_out_pairs(
     geometry: pin.GeometryModel,
     links: Sequence[LinkGeometry],
     kinematics: Kinematics,
+    urdf: Urdf,
     srdf: Path | None,
 ) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF leaves out; without one, the cached ones, or found by sampling and cached."""
+    """The pairs that an SRDF leaves out; without one, the cached ones, or those found now, which are then cached."""
     if srdf is not None:
-        return read_srdf(srdf)
-    cached = cache_file(model, links)
+        return tuple(
+            pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF)) for pair in read_srdf(srdf)
+        )
+    names = [link_of_piece(model, item) for item in geometry.geometryObjects]
+    near = neighbours(urdf, set(names))
+    key = robot_digest(geometry, links, kinematics, names, near)
+    file = f"{model.name.replace('/', '_')}-{key[:16]}.srdf"
     with contextlib.suppress(OSError, ValueError, InvalidInputError):  # not there yet, or damaged
-        return srdf_pairs(read_cached(cached.parent.name, cached.name).decode(), cached)
-    found = sampled_pairs(model, geometry, links, kinematics)
-    write_cached(cached.parent.name, cached.name, srdf_text(model.name, found).encode())
+        text = read_cached(KIND, file).decode()
+        if text == signed(text.rpartition(SIGNATURE)[0], key):
+            return srdf_pairs(text, Path(file))
+    found = found_pairs(model, geometry, links, kinematics, near)
+    write_cached(KIND, file, signed(srdf_text(model.name, found), key).encode())
     return found
 
 
-def cache_file(model: pin.Model, links: Sequence[LinkGeometry]) -> Path:
-    """The file for the sampled pairs of a robot; its name depends on placements, limits and corners."""
-    digest = hashlib.sha256(VERSION)
-    for placement in model.jointPlacements:
-        digest.update(placement.homogeneous.tobytes())
-    for piece in links:
-        digest.update(f"{piece.name} {piece.link} ".encode())
-        digest.update(piece.T_link_geometry.tobytes() + np.sort(piece.vertices, axis=0).tobytes())
-    digest.update(f"{list(model.parents)} {[j.shortname() for j in model.joints]}".encode())
-    digest.update(np.concatenate([model.lowerPositionLimit, model.upperPositionLimit]).tobytes())
-    name = f"{model.name.replace('/', '_')}-{digest.hexdigest()[:16]}.srdf"
-    return cache_folder() / "self_collision" / name
+KIND = "self_collision"  # folder of the cache
+SIGNATURE = "<!-- sha256 of the robot and of the lines above: "
+
+
+def signed(text: str, key: str) -> str:
+    """A cached file: its text, and the digest of text and robot, without which it is not believed."""
+    return f"{text}{SIGNATURE}{hashlib.sha256((key + text).encode()).hexdigest()} -->\n"
+
+
+def robot_digest(
+    geometry: pin.GeometryModel,
+    links: Sequence[LinkGeometry],
+    kinematics: Kinematics,
+    names: Sequence[str],
+    near: Collection[Pair],
+) -> str:
+    """Digest of all that the pairs depend on: every joint's axis, placement and limits, and every piece.
+
+    names: URDF links of the pieces. near: of `neighbours`. Axes are in `kinematics.rotation`: joints turn about z.
+    """
+    digest = hashlib.sha256(f"{SOURCES} {sorted(near)!r}".encode())
+    for array in kinematics:
+        digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
+    for name, piece, item in zip(names, links, geometry.geometryObjects, strict=True):
+        kind = type(item.geometry).__name__
+        digest.update(f"{name!r} {piece.name!r} {piece.link} {kind} {piece.vertices.shape}".encode())
+        digest.update(piece.T_link_geometry.tobytes() + piece.vertices.tobytes())
+    return digest.hexdigest()
+
+
+def neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
+    """Pairs (nearer to the base, further out) of links with bodies, with none but links without bodies between them."""
+    above = {joint.child: joint.parent for joint in urdf.joints.values()}
+    found = set()
+    for link in bodies:
+        parent = above.get(link)
+        while parent is not None and parent not in bodies:
+            parent = above.get(parent)
+        if parent is not None:
+            found.add((parent, link))
+    return found
 
 
 def link_of_piece(model: pin.Model, item: pin.GeometryObject) -> str:
@@ -83,8 +126,12 @@ def checked_pairs(
     return kept
 
 
-def sampled_pairs(
-    model: pin.Model, geometry: pin.GeometryModel, links: Sequence[LinkGeometry], kinematics: Kinematics
+def found_pairs(
+    model: pin.Model,
+    geometry: pin.GeometryModel,
+    links: Sequence[LinkGeometry],
+    kinematics: Kinematics,
+    near: Collection[Pair],
 ) -> tuple[LeftOut, ...]:
     """Pairs of links to leave out, by the rule at the top of this file."""
     pieces: dict[str, list[int]] = {}
@@ -95,8 +142,10 @@ def sampled_pairs(
     reasons = {}
     for pair in every:
         a, b = joints[pair[0]], joints[pair[1]]
-        if a == b or model.parents[a] == b or model.parents[b] == a:
-            reasons[pair] = "Adjacent"
+        if a == b:
+            reasons[pair] = FIXED
+        elif (pair in near or pair[::-1] in near) and a in (model.parents[b], *model.children[b]):
+            reasons[pair] = ADJACENT
     pairs = [pair for pair in every if pair not in reasons]
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     states = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, model.nq))
@@ -104,12 +153,20 @@ def sampled_pairs(
     often, apart = set(pairs), set(pairs)  # what may still be nearly always near, or never
     for rows in np.array_split(np.arange(SAMPLES), SAMPLES // CHUNK):
         undecided = often | apart
-        seen = sampling.close([pair for pair in pairs if pair in undecided], rows, NEAR)
+        seen = sampling.close([pair for pair in pairs if pair in undecided], rows, GAP)
         often -= {pair for pair, hits in seen.items() if hits.mean() < ALWAYS - SPREAD}
         apart -= {pair for pair, hits in seen.items() if hits.any()}
     touching = sampling.close([pair for pair in pairs if pair in often], np.arange(SAMPLES), 0.0)
-    reasons |= dict.fromkeys(apart, "Never")
-    reasons |= {pair: "Always" for pair, hits in touching.items() if hits.mean() >= ALWAYS}
+    for pair, hits in touching.items():
+        if hits.mean() >= ALWAYS:
+            reasons[pair] = f"{OVERLAP}{100.0 * hits.mean():.4g} % of random states"
+    shapes = [item.geometry for item in geometry.geometryObjects]
+    for first, second in sorted(apart):
+        bodies = ((i, k) for i in pieces[first] for k in pieces[second])
+        if all(
+            proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP) for i, k in bodies
+        ):
+            reasons[first, second] = APART
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 
 

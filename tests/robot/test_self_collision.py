@@ -1,15 +1,21 @@
-"""The pairs of links that sampling leaves out: which, always the same, kept as an SRDF file."""
+"""The pairs of links that are left out without an SRDF: why, and the cache of them, which is checked."""
 
+import re
 import tempfile
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.loading import load_robot
+from cvqmpt_lab.robot.loading import load_robot, robot_from_source
+from cvqmpt_lab.robot.proven_apart import distance_levers
 from cvqmpt_lab.robot.robot import LeftOut
-from cvqmpt_lab.robot.self_collision import NEAR, cache_file, read_srdf, srdf_text
+from cvqmpt_lab.robot.self_collision import ADJACENT, APART, FIXED, FROM_SRDF, GAP, OVERLAP, srdf_text
+from cvqmpt_lab.robot.source import ARMS
+from experiments.suites.door_task import door_world
 
 TOOL = 'size="0.02 0.06 0.02"'
 
@@ -22,42 +28,109 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def test_a_pair_that_is_not_checked_never_comes_near_or_nearly_always_overlaps(edited):
-    """On configurations other than those that decided; a large tool makes pairs of every kind."""
-    robot = load_robot(edited((TOOL, 'size="0.4 0.4 0.4"')), "tool")
-    reasons = {frozenset((p.first, p.second)): p.reason for p in robot.left_out_pairs}
-    assert {"Adjacent", "Never"} <= set(reasons.values())
-    geometry = pin.GeometryModel(robot.collision_model)
-    geometry.addAllCollisionPairs()
-    names = [
-        frozenset(geometry.geometryObjects[i].name[:-2] for i in (p.first, p.second))
-        for p in geometry.collisionPairs
-    ]
-    data, geometry_data = robot.model.createData(), pin.GeometryData(geometry)
-    least = np.full(len(names), np.inf)
-    for q in robot.random_configurations(np.random.default_rng(7), 500):
-        pin.computeDistances(robot.model, data, geometry, geometry_data, q)
-        least = np.minimum(least, [result.min_distance for result in geometry_data.distanceResults])
-    for name, distance in zip(names, least, strict=True):
-        if reasons.get(name) == "Never":
-            assert distance > 0.5 * NEAR
-        if name not in reasons:
-            assert distance < 5.0 * NEAR
+def least_distances(robot, left_out, samples, steps):
+    """The least distances [m] found of all pieces of left-out links: in random states, then by a descent for each."""
+    geometry, rng = robot.collision_model.copy(), np.random.default_rng(5)
+    names = [robot.model.frames[item.parentFrame].name for item in geometry.geometryObjects]
+    geometry.removeAllCollisionPairs()
+    for i, k in product(range(len(names)), repeat=2):
+        if (names[i], names[k]) in left_out:
+            geometry.addCollisionPair(pin.CollisionPair(i, k))
+    data, found = robot.model.createData(), pin.GeometryData(geometry)
+    best = np.full(len(geometry.collisionPairs), np.inf)
+    states = np.zeros((len(best), robot.dof))
+    for q in robot.random_configurations(rng, samples):
+        pin.computeDistances(robot.model, data, geometry, found, q)
+        distance = np.array([result.min_distance for result in found.distanceResults])
+        states[distance < best] = q
+        best = np.minimum(best, distance)
+    for n in range(len(best)):
+        for scale in np.geomspace(1.0, 0.01, steps):
+            q = np.clip(states[n] + scale * rng.standard_normal(robot.dof), robot.lower, robot.upper)
+            pin.updateGeometryPlacements(robot.model, data, geometry, found, q)
+            if (distance := pin.computeDistance(geometry, found, n).min_distance) < best[n]:
+                best[n], states[n] = distance, q
+    return best
 
 
-def test_the_pairs_are_kept_and_a_spoilt_file_is_replaced(slider_arm_urdf, cache):
-    robot = load_robot(slider_arm_urdf, "tool")
-    (kept,) = (cache / "cvqmpt_lab" / "self_collision").iterdir()
-    assert kept == cache_file(robot.model, robot.links) and read_srdf(kept) == robot.left_out_pairs
-    kept.write_text(srdf_text("x", [LeftOut("base", "tool", "Never")]))
-    assert len(load_robot(slider_arm_urdf, "tool").left_out_pairs) == 1, "the file is what counts"
-    kept.chmod(0o666)
-    assert load_robot(slider_arm_urdf, "tool").left_out_pairs == robot.left_out_pairs, "others could write it"
-    kept.chmod(0o644)
-    whole = srdf_text(robot.name, robot.left_out_pairs)
-    kept.write_text(whole[: len(whole) // 2])
-    again = load_robot(slider_arm_urdf, "tool")
-    assert again.left_out_pairs == robot.left_out_pairs and kept.read_text() == whole
+@pytest.mark.slow
+def test_pairs_that_are_not_checked_stay_apart(request):
+    """All but neighbours and those that an SRDF or nearly all random states name; sampling alone left out -99 mm."""
+    words = (FIXED, ADJACENT, FROM_SRDF, OVERLAP)
+    for name in ARMS if request.config.getoption("--long") else ("tiago-no-hand", "z1"):
+        robot = robot_from_source({"name": name})
+        left_out = {(p.first, p.second) for p in robot.left_out_pairs if not p.reason.startswith(words)}
+        assert least_distances(robot, left_out, 500, 100).min(initial=np.inf) > GAP, name
+
+
+@pytest.mark.parametrize("which", ["slider_arm", "mechanism"])
+def test_levers_bound_how_fast_distances_change(which, slider_arm):
+    """Between any two states, of pieces on one chain and of pieces on two (an arm and a door)."""
+    robot = slider_arm if which == "slider_arm" else door_world()[1]
+    geometry, rng = robot.collision_model, np.random.default_rng(3)
+    data, found = robot.model.createData(), pin.GeometryData(geometry)
+    levers = np.zeros((len(geometry.collisionPairs), robot.dof))
+    for row, (i, k) in zip(levers, robot.self_collision_pairs, strict=True):
+        for j, lever in distance_levers(robot.kinematics, robot.links[i], robot.links[k]).items():
+            row[j] = lever
+    states = robot.random_configurations(rng, 400)
+    steps = 10.0 ** rng.uniform(-3, 0, (400, 1)) * rng.standard_normal(states.shape)
+    distances = []
+    for q in np.concatenate([states, states + steps]):
+        pin.computeDistances(robot.model, data, geometry, found, q)
+        distances.append([result.min_distance for result in found.distanceResults])
+    before, after = np.array(distances).reshape(2, 400, -1)
+    bounds = np.abs(steps) @ levers.T
+    free = (before > 0.0) & (after > 0.0)
+    assert (np.abs(after - before) <= bounds + 1e-5)[free].all()
+    assert (np.abs(after - before) / bounds)[free].max() > 0.5
+
+
+def sheared(by):
+    return np.array([(x + by * z, y, z) for x, y, z in product((-0.1, 0.1), (-0.05, 0.05), (-0.1, 0.1))])
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('<axis xyz="0.6 0 0.8"/>', '<axis xyz="0.8 0 0.6"/>'),
+        ("a.obj", "b.obj"),
+        ('upper="1.5"', 'upper="1.4"'),
+    ],
+)
+def test_another_robot_has_pairs_of_its_own(slider_arm_urdf, tmp_path, cache, before, after):
+    """Another axis of a joint whose link has no body, a mirrored mesh, other limits."""
+    for name, by in (("a.obj", 0.5), ("b.obj", -0.5)):
+        trimesh.Trimesh(sheared(by)).convex_hull.export(tmp_path / name)
+    text = slider_arm_urdf.read_text().replace(
+        '<cylinder radius="0.04" length="0.3"/>', '<mesh filename="a.obj"/>'
+    )
+    text = re.sub('<link name="elbow">.*', '<link name="elbow"/>', text)
+    (tmp_path / "arm.urdf").write_text(text)
+    load_robot(tmp_path / "arm.urdf", "tool")
+    (tmp_path / "arm.urdf").write_text(text.replace(before, after))
+    load_robot(tmp_path / "arm.urdf", "tool")
+    assert len(list((cache / "cvqmpt_lab" / "self_collision").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        lambda text, other: text[: len(text) // 2],
+        lambda text, other: re.sub("  <disable.*\n", "", text),
+        lambda text, other: other,
+        lambda text, other: srdf_text("x", [LeftOut("base", "tool", APART)]),
+    ],
+)
+def test_a_spoilt_or_foreign_file_is_made_anew(slider_arm_urdf, edited, cache, spoilt):
+    folder = cache / "cvqmpt_lab" / "self_collision"
+    load_robot(edited((TOOL, 'size="0.4 0.4 0.4"')), "tool")
+    (foreign,) = folder.iterdir()
+    pairs = load_robot(slider_arm_urdf, "tool").left_out_pairs
+    (kept,) = set(folder.iterdir()) - {foreign}
+    whole = kept.read_text()
+    kept.write_text(spoilt(whole, foreign.read_text()))
+    assert load_robot(slider_arm_urdf, "tool").left_out_pairs == pairs and kept.read_text() == whole
 
 
 def test_without_a_place_for_the_cache_pairs_are_sampled_all_the_same(slider_arm_urdf, tmp_path, monkeypatch):
