@@ -268,12 +268,10 @@ def _carried(piece: Solid, hand: pin.Frame) -> pin.GeometryObject:
 
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
-    """(link piece, attachment) index pairs that can touch; neighbours of the hand are left out."""
-    parents = robot.model.parents
+    """(link piece, attachment) index pairs: all but the pieces that, like the attachment, are fixed to the hand."""
     hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)].parentJoint
     joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
-    near = [joint == hand or parents[joint] == hand or parents[hand] == joint for joint in joints]
-    return [(i, k) for k in range(len(attachments)) for i in range(len(joints)) if not near[i]]
+    return [(i, k) for k in range(len(attachments)) for i, joint in enumerate(joints) if joint != hand]
 
 
 def reach_with(robot: Robot, attachments: Sequence[Attachment]) -> float:

@@ -12,11 +12,12 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.scene.coal_shapes import transform
+from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance, transform
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace
+from experiments.suites.door_task import door_world
 from experiments.suites.place_task import carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
@@ -114,6 +115,36 @@ def test_the_carried_can_collides_with_the_arm(panda):
     assert touched
     partners = {n for q in touched for n in vars(carrying.colliding_pair(q)).values()} - {"carried_can"}
     assert partners and not any("hand" in n or "finger" in n or "link7" in n for n in partners)
+
+
+@pytest.mark.parametrize("which", ["arm", "arm and door"])
+@pytest.mark.parametrize("xyz", [(0.06, 0.0, -0.05), (0.0, 0.07, -0.1)])
+def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, xyz):
+    """A bar along the hand, also with the link before the last joint: both checkers against each pair alone."""
+    robot = panda if which == "arm" else door_world()[1]
+    bar = Attachment("bar", Box((0.02, 0.02, 0.5)), pose(xyz))
+    rng, shape = np.random.default_rng(2), coal_shape(bar.shape)
+    states = np.concatenate([robot.random_configurations(rng, 300), np.tile(robot.lower, (300, 1))])
+    states[300:, :7] = HOME + 0.4 * rng.standard_normal((300, 7))
+    states = np.clip(states, robot.lower + 1e-3, robot.upper)
+    empty, carrying = (CollisionChecker(robot, NOTHING, items) for items in ((), (bar,)))
+    problem = PlanningProblem("test", robot, NOTHING, states[0], states[:1], attachments=(bar,))
+    space = ConstrainedSpace(problem)
+    data, found = robot.model.createData(), pin.GeometryData(robot.collision_model)
+    others = [(n, g) for n, g in enumerate(robot.collision_model.geometryObjects) if g.parentJoint != 7]
+    before = 0
+    for q in states[~empty.in_collision_batch(states)]:
+        pin.updateGeometryPlacements(robot.model, data, robot.collision_model, found, q)
+        T_bar = robot.pose(q) @ bar.T_hand_object
+        room, nearest = min(
+            (shape_distance(shape, T_bar, g.geometry, found.oMg[n].homogeneous), g.name) for n, g in others
+        )
+        before += room < -CONTACT and "link6" in nearest
+        if room < -CONTACT:
+            assert carrying.in_collision(q) and not space.valid(q)
+        elif room > CONTACT:
+            assert not carrying.in_collision(q)
+    assert before > 0
 
 
 def test_what_is_never_paired(panda):
