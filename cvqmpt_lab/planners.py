@@ -26,6 +26,9 @@ class Method:
     build: Callable[[Robot, str], Stages]  # of a robot and a model, see `stages`
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
     needs_constraint: bool = False
+    needs_charts: bool = (
+        False  # of the manifold, which exist where joints are more than the constraint's bounded rows
+    )
     model: str | None = None  # name or folder of its weights; None for the shipped ones
 
     @staticmethod
@@ -56,6 +59,9 @@ class Method:
         """Why the planner cannot serve a problem, or ""."""
         if self.needs_constraint and not problem.constraint:
             return "it needs a constraint, and the problem has none"
+        rows = sum(len(region.bounded_rows) for region in problem.constraint)
+        if self.needs_charts and rows >= problem.robot.dof:
+            return f"it needs more joints than the constraint bounds, {problem.robot.dof} joints and {rows} entries"
         if self.weights is None:
             return ""
         from cvqmpt_lab.vqmpt.weights import (
@@ -76,7 +82,7 @@ def _ompl(name: str, manifold: str) -> Method:
 
         return Stages(search=OmplSearch(manifold))
 
-    return Method(name, build, needs_constraint=True)
+    return Method(name, build, needs_constraint=True, needs_charts=manifold != "projected")
 
 
 def _learned(planner: str, builder: str, weights: str = "vq_mpt", **options: Any) -> Method:

@@ -360,7 +360,8 @@ class Sweep:
         columns, poses = np.empty((len(q), 6, self._model.nv)), self._data.oMi
         centres = np.zeros((len(q), self._model.njoints, 3))
         for row, column, moved in zip(q, columns, centres, strict=True):
-            column[:] = pin.computeJointJacobians(self._model, self._data, row)
+            jacobian = pin.computeJointJacobians(self._model, self._data, row)
+            column[:] = jacobian.reshape(6, -1)  # (6,) of a single joint
             for k, centre in self._centres:
                 moved[k] = poses[k].act(centre)
         return columns.transpose(1, 0, 2), centres.transpose(2, 0, 1)

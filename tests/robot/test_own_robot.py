@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidProblemError
+from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.loading import load_robot
-from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Sphere
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.trajectory.timing import time_path
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTHING = Scene("nothing", ())
@@ -54,6 +55,29 @@ def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backe
     solution = solve(slider_problem, planner_named(name), ENOUGH, seed=0, backend=backend)
     assert solution.certificate.reasons == () and solution.solved
     assert np.ptp(solution.simplified.path.states[:, 0]) > 0.1, "the slider took part"
+
+
+ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm"><collision><origin xyz="0.3 0 0.3"/>
+<geometry><box size="0.4 0.05 0.05"/></geometry></collision></link>
+<joint name="only" type="{kind}"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("backend", ["compiled", "exact"])
+@pytest.mark.parametrize("carried", [(), (Attachment("can", Box((0.05, 0.05, 0.1)), pose((0.6, 0.0, 0.3))),)])
+@pytest.mark.parametrize(("kind", "wall"), [("revolute", (0.0, 0.5, 0.3)), ("prismatic", (0.4, 0.0, 1.0))])
+def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, backend):
+    (tmp_path / "one.urdf").write_text(ONE_JOINT.format(kind=kind))
+    robot = load_robot(tmp_path / "one.urdf", "arm", acceleration_limits=[1.0])
+    scene = Scene("wall", (SceneObject("wall", Box((0.1, 0.1, 0.1)), pose(wall)),))
+    start, goal = np.array([-0.5]), np.array([[0.4]])
+    for region in ((), (TaskSpaceRegion(np.eye(4), np.eye(4), np.array([(-2.0, 2.0)] * 6)),)):
+        problem = PlanningProblem("one", robot, scene, start, goal, region, attachments=carried)
+        solution = solve(problem, planner_named("birrt"), ENOUGH, seed=0, backend=backend)
+        assert solution.certificate.reasons == () and 0.0 < solution.certificate.min_clearance_m < 0.5
+        assert time_path(solution.simplified.path.states, robot.joint_limits).duration > 0.0
+    with pytest.raises(InvalidInputError, match="1 joints and 6 entries"):
+        solve(problem, planner_named("atlas-rrt"), ENOUGH, seed=0)
 
 
 @pytest.fixture
