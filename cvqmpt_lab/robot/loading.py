@@ -2,6 +2,7 @@
 
 import copyreg
 import json
+import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,8 +22,10 @@ from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs
 from cvqmpt_lab.robot.source import (
     ARTICULATED,
     FINGER_OPENING,
+    ROS_VARIABLE,
     WHERE,
     UrdfRobot,
+    content_digest,
     find_collision_meshes,
     read_source,
 )
@@ -93,12 +96,17 @@ def robot_from_source(source: Mapping[str, Any]) -> Robot:
         articulated = json.dumps(source[ARTICULATED], sort_keys=True) if ARTICULATED in source else ""
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"problem field 'robot' is malformed: {error}") from error
-    robot = _cached_robot(arm)
+    packages = os.environ.get(ROS_VARIABLE, "")
+    robot = _cached_robot(arm, packages)
+    if any(content_digest(path) != digest for path, digest in robot.files):
+        _cached_robot.cache_clear()
+        robot = _cached_robot(arm, packages)
     return _cached_mechanism(robot, articulated) if articulated else robot
 
 
 @lru_cache(maxsize=8)
-def _cached_robot(source: str) -> Robot:
+def _cached_robot(source: str, packages: str) -> Robot:
+    """packages: folders in which meshes are looked for, too."""
     return _built(json.loads(source))
 
 
@@ -109,16 +117,28 @@ def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
     )
 
 
+def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Robot:
+    """The robot of a source, built again; InvalidInputError if its files hold something else than when pickled."""
+    robot = robot_from_source(source)
+    if [digest for _, digest in robot.files] != [digest for _, digest in files]:
+        changed = next((path for path, digest in files if content_digest(path) != digest), source)
+        raise InvalidInputError(
+            f"robot {robot.name} was pickled from other files than there are now, see {changed}: make the pickle anew"
+        )
+    return robot
+
+
 # Pickled by its source: worker processes build pinocchio's objects again.
-copyreg.pickle(Robot, lambda robot: (robot_from_source, (robot.source,)))
+copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files)))
 
 
 def _built(source: Mapping[str, Any]) -> Robot:
     """The robot of a source that has no articulated object."""
     files = read_source(source)
+    read = {path: content_digest(path) for path in (files.urdf, files.srdf) if path}
     urdf = read_urdf(Path(files.urdf))
     held = held_joints(urdf, files.end_effector, files.locked, files.base is not None)
-    model, geometry = _models(urdf, files, held)
+    model, geometry, meshes = _models(urdf, files, held)
     replace_meshes_by_hulls(geometry)
     axes = axis_frames(model)
     links = tuple(link_geometry(g, axes) for g in geometry.geometryObjects)
@@ -140,6 +160,7 @@ def _built(source: Mapping[str, Any]) -> Robot:
         self_collision_pairs=(),
         held_joints=held,
         acceleration_limits=accelerations,
+        files=tuple({**read, **meshes}.items()),
     )
     _refuse_far(robot, urdf)
     left_out = left_out_pairs(
@@ -149,11 +170,14 @@ def _built(source: Mapping[str, Any]) -> Robot:
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
 
 
-def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pin.Model, pin.GeometryModel]:
-    """Pinocchio's models of the joints that are not held, standing on the given base."""
+def _models(
+    urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]
+) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
+    """Pinocchio's models of the joints that are not held, standing on the given base; digests of the meshes' files."""
     check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
-    find_collision_meshes(root, urdf.path, [Path(folder) for folder in files.package_dirs])
+    meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in files.package_dirs])
+    digests = {path: content_digest(path) for path in meshes}
     for element in root.findall("joint"):  # pinocchio cannot hold joints where one is called like a link
         element.set("name", JOINT + element.get("name", ""))
     text = ElementTree.tostring(root, encoding="unicode")
@@ -177,7 +201,7 @@ def _models(urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]) -> tuple[pi
         model.names[j] = name.removeprefix(JOINT)
     if files.base is not None:
         _place(model, geometry, pin.SE3(files.base))
-    return model, geometry
+    return model, geometry, digests
 
 
 def _place(model: pin.Model, geometry: pin.GeometryModel, base: pin.SE3) -> None:

@@ -122,6 +122,7 @@ class Robot:
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
+    files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each file that it was built from
     _of_thread: _ThreadData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

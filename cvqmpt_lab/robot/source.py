@@ -1,7 +1,9 @@
 """Field "robot" of a problem file: a name or a URDF, with options. Also the arms that have a name."""
 
+import hashlib
 import os
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -176,6 +178,30 @@ ARMS: Mapping[str, NamedArm] = {
 }
 
 
+# What the files of a robot hold.
+SETTLED = 1e8  # [ns] after a change of a file, when another one surely gives it another time
+
+_DIGESTS: dict[
+    str, tuple[tuple[int, ...], str]
+] = {}  # by path: times, size and inode, and sha256 of the content
+
+
+def content_digest(path: str) -> str:
+    """sha256 of what a file holds, "" if there is none; read again only if its times or its size have changed."""
+    try:
+        status = os.stat(path)  # noqa: PTH116, since a Path takes 20 us
+        stamp = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
+        known = _DIGESTS.get(path)
+        if known is not None and known[0] == stamp:
+            return known[1]
+        digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return ""
+    if time.time_ns() - max(stamp[:2]) > SETTLED:
+        _DIGESTS[path] = stamp, digest
+    return digest
+
+
 # Search for the files of a robot.
 EXAMPLES = "example-robot-data"
 ROS_VARIABLE = "ROS_PACKAGE_PATH"
@@ -196,8 +222,12 @@ def _installed_share() -> Path:
     return next((share for share in shares if (share / EXAMPLES).is_dir()), Path(sys.prefix) / "share")
 
 
-def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]) -> None:
-    """Replace the names of collision meshes in a URDF by absolute paths; errors name a mesh that is not found."""
+def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]) -> list[str]:
+    """Replace the names of collision meshes in a URDF by absolute paths, and return these.
+
+    Errors name a mesh that is not found.
+    """
+    found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
         name = mesh.get("filename", "")
         if not name.startswith(SCHEME):
@@ -207,7 +237,9 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
         else:
             package, _, rest = name.removeprefix(SCHEME).partition("/")
             path = _in_package(package, rest, urdf, package_dirs)
-        mesh.set("filename", str(path.resolve()))
+        found.append(str(path.resolve()))
+        mesh.set("filename", found[-1])
+    return found
 
 
 def _in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]) -> Path:

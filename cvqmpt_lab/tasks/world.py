@@ -1,6 +1,5 @@
 """One moment of a task: the arm's configuration, what the hand holds, the scene."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -9,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose, rotation_vectors
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.mechanism import with_articulated_object
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
@@ -79,7 +78,7 @@ class World:
                 turned = scene.with_joint(self.held.name, phase.value)[phase.goal.base].T_world_object
                 constraint, goal = (phase.constraint,), phase.goal.at(turned)
                 start = np.append(start, scene.articulation(self.held.name).value)
-                scene, robot = _mechanism(json.dumps(self.source), scene, self.held)
+                scene, robot = _mechanism(robot, scene, self.held)
         return PlanningProblem(
             name=f"{task.name}/{phase.name}",
             robot=robot,
@@ -156,7 +155,7 @@ _taken_out = lru_cache(maxsize=8)(take_out)  # takes 0.2 s for the casing of a d
 
 
 @lru_cache(maxsize=8)
-def _mechanism(source: str, scene: Scene, held: HeldDoor) -> tuple[Scene, Robot]:
-    """A scene without the held door, and the robot with it; source: the robot's, as json."""
+def _mechanism(robot: Robot, scene: Scene, held: HeldDoor) -> tuple[Scene, Robot]:
+    """A scene without the held door, and the robot with it."""
     rest, door = _taken_out(scene, held.name, held.may_touch)
-    return rest, robot_from_source({**json.loads(source), "articulated": to_plain(door)})
+    return rest, with_articulated_object(robot, door)

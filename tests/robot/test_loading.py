@@ -1,11 +1,14 @@
 """Loading robots: what is moved and what is held, where meshes lie, and what is refused with one line."""
 
+import os
+import pickle
 import struct
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+import trimesh
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.robot.loading import MOST_REACH, load_robot, robot_from_source
@@ -122,6 +125,32 @@ def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
         np.testing.assert_allclose(other.pose(q), expected, atol=1e-12)
         np.testing.assert_allclose(other.pose(q, "base"), place, atol=1e-12)
     assert robot.reach > load_robot(plain, "tool").reach + 1.0
+
+
+def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(edited, tmp_path):
+    """Its URDF, its mesh and its SRDF; a file that is only touched, or written again, changes nothing."""
+    urdf = edited((BOX, '<geometry><mesh filename="part.obj"/></geometry>'))
+    mesh, srdf = tmp_path / "part.obj", tmp_path / "arm.srdf"
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
+    srdf.write_text("<robot/>")
+    source = load_robot(urdf, "tool", srdf=srdf).source
+    for file, old, new in (
+        (urdf, 'upper="0.7"', 'upper="0.6"'),
+        (mesh, "0.05", "0.06"),
+        (srdf, "<robot/>", '<robot><disable_collisions link1="base" link2="tool"/></robot>'),
+    ):
+        robot = robot_from_source(source)
+        kept = pickle.dumps(robot)
+        file.write_text(file.read_text())
+        os.utime(file, (1.0, 1.0))
+        assert robot_from_source(source) is robot is pickle.loads(kept)
+        file.write_text(file.read_text().replace(old, new))
+        again = robot_from_source(source)
+        assert again is not robot and again is robot_from_source(source)
+        with pytest.raises(InvalidInputError, match=f"pickled from other files .* {file}"):
+            pickle.loads(kept)
+    assert again.upper[0] == 0.6 and len(again.left_out_pairs) == 1
+    assert np.abs(again.links[1].vertices).max() == pytest.approx(0.06)
 
 
 AXIS = '<axis xyz="0 1 0"/>'
