@@ -22,14 +22,9 @@ from cvqmpt_lab.trajectory.trajectory_files import Motion
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
-# Shares by which limits may be exceeded: pieces between the points of a motion that `time_path` timed to its limits
-# have accelerations up to 4 % above the stated ones, and as quintics, where the stated ones jump, up to 75 %.
-OVERSHOOT = {
-    (FaultKind.VELOCITY, "cubic"): 1e-3,
-    (FaultKind.VELOCITY, "quintic"): 0.01,
-    (FaultKind.ACCELERATION, "cubic"): 0.05,
-    (FaultKind.ACCELERATION, "quintic"): 0.8,
-}
+# Share by which limits may be exceeded: cubic pieces between the points of a motion that `time_path` timed to its
+# limits have accelerations up to 4 % above the stated ones.
+OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 BETWEEN = 1.02  # times the largest acceleration there is more than that in between
 MOST_PIECES = 100_000
@@ -75,7 +70,7 @@ def dry_run(
         stated = motion.accelerations if name == "cubic" else None  # a quintic has them at its points
         certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
         every = (
-            *_limit_faults(name, curve, stated, robot.joint_limits, times),
+            *_limit_faults(curve, stated, robot.joint_limits, times),
             *_rest_faults(curve, robot.joint_limits, times),
             *faults,
             *certificate.faults,
@@ -150,7 +145,7 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
 
 
 def _limit_faults(
-    name: str, curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
+    curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
 ) -> Iterator[Fault]:
     """The joint most above its limit, of velocity and acceleration: on a curve at SHARES, and as stated."""
     for order, kind, unit, limit in (
@@ -163,7 +158,7 @@ def _limit_faults(
                 worst, _most_used(stated[:-1], limit, curve, 0.0), _most_used(stated[1:], limit, curve, 1.0)
             )
         used, moment, joint = worst
-        if used > 1.0 + OVERSHOOT[kind, name]:
+        if used > 1.0 + OVERSHOOT[kind]:
             reached = f"{limits.joint_names[joint]} reaches {used * limit[joint]:.4g} {unit}"
             state = float(np.interp(moment, times, np.arange(len(times))))
             yield Fault(kind, f"{reached}, its {kind} limit is {limit[joint]:.4g}", state)
@@ -183,7 +178,7 @@ def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> list[F
     for what, end, at in (("begins", 0, 0.0), ("ends", -1, len(times) - 1.0)):
         share = np.abs(velocities[end]) / limits.velocity
         joint = int(share.argmax())
-        if share[joint] > OVERSHOOT[FaultKind.VELOCITY, "cubic"]:
+        if share[joint] > OVERSHOOT[FaultKind.VELOCITY]:
             name, speed = limits.joint_names[joint], abs(velocities[end, joint])
             text = f"{name} moves at {speed:.4g} rad/s where the motion {what}"
             faults.append(Fault(FaultKind.VELOCITY, text, at))
