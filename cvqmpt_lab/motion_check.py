@@ -6,7 +6,6 @@ Where accelerations are stated, a controller may take the quintic through these 
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -115,15 +114,15 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
         return curves
 
 
-def _rates(curve: PPoly, order: int, share: float) -> np.ndarray:
-    """A derivative (k, n) [rad/s, rad/s^2] at a share of every piece; inf or nan after an overflow."""
+def _rates(curve: PPoly, order: int) -> np.ndarray:
+    """A derivative [rad/s, rad/s^2] at SHARES of every piece (shares, k, n); inf or nan after an overflow."""
     with np.errstate(all="ignore"):
-        return np.polyval(curve.derivative(order).c, share * np.diff(curve.x)[:, None])
+        return np.polyval(curve.derivative(order).c, SHARES[:, None, None] * np.diff(curve.x)[:, None])
 
 
 def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
     """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration of each piece."""
-    most = BETWEEN * reduce(np.maximum, (np.abs(_rates(curve, 2, share)) for share in SHARES))
+    most = BETWEEN * np.abs(_rates(curve, 2)).max(axis=0)
     if not (most <= HARDEST * limits.acceleration).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
         raise InvalidInputError(
@@ -152,28 +151,22 @@ def _limit_faults(
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
         (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
     ):
-        worst = max(_most_used(_rates(curve, order, share), limit, curve, share) for share in SHARES)
+        rates = _rates(curve, order)
         if order == 2 and stated is not None:
-            worst = max(
-                worst, _most_used(stated[:-1], limit, curve, 0.0), _most_used(stated[1:], limit, curve, 1.0)
-            )
-        used, moment, joint = worst
-        if used > 1.0 + OVERSHOOT[kind]:
-            reached = f"{limits.joint_names[joint]} reaches {used * limit[joint]:.4g} {unit}"
+            rates = np.concatenate([rates, stated[None, :-1], stated[None, 1:]])
+        used = np.nan_to_num(np.abs(rates) / limit, nan=np.inf)
+        share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
+        if used[share, k, joint] > 1.0 + OVERSHOOT[kind]:
+            reached = f"{limits.joint_names[joint]} reaches {used[share, k, joint] * limit[joint]:.4g} {unit}"
+            moment = curve.x[k] + np.append(SHARES, (0.0, 1.0))[share] * (curve.x[k + 1] - curve.x[k])
             state = float(np.interp(moment, times, np.arange(len(times))))
             yield Fault(kind, f"{reached}, its {kind} limit is {limit[joint]:.4g}", state)
 
 
-def _most_used(values: np.ndarray, limit: np.ndarray, curve: PPoly, share: float) -> tuple[float, float, int]:
-    """Largest part of its limit (n,) that rates (k, n) at a share of every piece use; when [s], and which joint."""
-    used = np.nan_to_num(np.abs(values) / limit, nan=np.inf)
-    k, joint = (int(i) for i in np.unravel_index(int(used.argmax()), used.shape))
-    return float(used[k, joint]), float(curve.x[k] + share * (curve.x[k + 1] - curve.x[k])), joint
-
-
 def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> list[Fault]:
     """Joints that do not rest where the motion begins or ends."""
-    velocities = np.array([_rates(curve, 1, share)[end] for share, end in ((0.0, 0), (1.0, -1))])
+    rates = _rates(curve, 1)
+    velocities = np.stack([rates[0, 0], rates[-1, -1]])
     faults = []
     for what, end, at in (("begins", 0, 0.0), ("ends", -1, len(times) - 1.0)):
         share = np.abs(velocities[end]) / limits.velocity
