@@ -14,7 +14,7 @@ from cli.robot_options import add_problem, problem_asked, refuse_robot
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import PLANNERS, planner_named
@@ -65,8 +65,7 @@ def run(args: argparse.Namespace) -> int:
     for path in filter(None, (args.save_path, args.trajectory)):
         writable_file(path)
     check_show(args)
-    if args.seed < 0:
-        raise InvalidInputError(f"--seed {args.seed}: give a whole number of 0 or more")
+    whole_number("--seed", args.seed)
     problem = _asked(args)
     if isinstance(problem, Task):
         from cli.plan_task import run_task  # timing needs scipy.interpolate, half a second to import

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cli.options import ProgressBar, log, own_command, positive, positive_int
 from cvqmpt_lab.codec.plain import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.training.profiles import MODELS, PROFILES, Profile, profile_named
@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
     for name in ("data", "out"):
         if getattr(args, name) is None:
             raise InvalidInputError(f"give --{name} DIR")
-    if args.seed < 0 or args.workers < 0:
-        raise InvalidInputError(f"--seed {args.seed}, --workers {args.workers}: give 0 or more")
+    for name in ("seed", "workers"):
+        whole_number(f"--{name}", getattr(args, name))
     command = own_command()
     origin = provenance(command, [args.seed])
     if args.stage in EDGE_MODEL:

@@ -7,6 +7,7 @@ import difflib
 import importlib.util
 import reprlib
 from collections.abc import Iterable
+from numbers import Integral
 
 LISTED = 60  # choices that a message lists at most
 LONGEST = 120  # characters of a value that a message shows
@@ -68,6 +69,15 @@ class InvalidProblemError(InvalidInputError):
 
 class RunStoreError(InvalidInputError):
     """A results directory that cannot be read, written or continued."""
+
+
+def whole_number(what: str, value: object, least: int = 0, most: int | None = None) -> int:
+    """A whole number from least to most (None: any); InvalidInputError calls it `what`."""
+    number = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else least - 1
+    if number >= least and (most is None or number <= most):
+        return number
+    bounds = f"of {least} or more" if most is None else f"from {least} to {most}"
+    raise InvalidInputError(f"{what} {shown(value)}: give a whole number {bounds}")
 
 
 def torch_installed() -> bool:

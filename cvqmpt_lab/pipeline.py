@@ -11,6 +11,7 @@ import numpy as np
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
+from cvqmpt_lab.errors import whole_number
 from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
@@ -67,8 +68,11 @@ def solve(
     Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a
     method that cannot serve the problem (weights of another robot, no constraint).
     """
+    Budget.require(budget)
     if optimize is not None:
+        Budget.require(optimize, "optimize")
         check_units(budget, optimize)
+    seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:

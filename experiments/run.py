@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -51,6 +51,10 @@ class Experiment:
                 suite.item(index)
         for name in self.planners:
             planner_named(name)
+        for seed in self.seeds:
+            whole_number("seed", seed)
+        for what, budget in (("budget", self.budget), ("optimize", self.optimize or self.budget)):
+            Budget.require(budget, what)
         if self.backend not in BACKENDS:
             raise UnknownChoiceError("backend", self.backend, BACKENDS)
         if self.optimize is not None:

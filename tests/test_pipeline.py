@@ -7,6 +7,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
 from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.tasks.solve_task import solve_task
 from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)
@@ -67,3 +68,33 @@ def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, p
     for path, same in zip(together, 2 * alone, strict=True):
         np.testing.assert_array_equal(path.states, same.states)
     assert all(four_threads(lambda path: certify(problem, path).valid, together))
+
+
+@pytest.mark.parametrize("seed", [-1, 2.5, np.nan, "3", None, True, [1]])
+@pytest.mark.parametrize("call", [solve, solve_task, solve_many])
+def test_a_seed_that_is_no_whole_number_is_refused(problem, task, call, seed):
+    given = {solve: problem, solve_task: task, solve_many: [problem]}[call]
+    with pytest.raises(InvalidInputError, match=r"seed .*: give a whole number of 0 or more"):
+        call(given, "birrt", ENOUGH, seed)
+
+
+@pytest.mark.parametrize("budget", [2.5, None, "3", {"iterations": 3}])
+def test_what_is_no_budget_is_refused(problem, task, budget):
+    for call, given in ((solve, problem), (solve_task, task)):
+        with pytest.raises(InvalidInputError, match=r"budget .*: give Budget\(seconds=\.\.\.\)"):
+            call(given, "birrt", budget, 0)
+    if budget is not None:
+        with pytest.raises(InvalidInputError, match=r"optimize .*: give Budget"):
+            solve(problem, "birrt", ENOUGH, 0, optimize=budget)
+
+
+@pytest.mark.parametrize("value", [2.5, np.nan, "3", 0, -1, 1e300, np.inf, True, [1], 2**70])
+def test_iterations_that_are_no_whole_number_are_refused(value):
+    with pytest.raises(InvalidInputError, match=r"budget iterations .*: give a whole number from 1"):
+        Budget(iterations=value)
+
+
+@pytest.mark.parametrize("value", [np.nan, "3", 0, -1, [1]])
+def test_seconds_that_are_not_above_zero_are_refused(value):
+    with pytest.raises(InvalidInputError, match=r"budget seconds .*: give a number above 0"):
+        Budget(seconds=value)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY, Shapes
@@ -95,6 +95,7 @@ def train_edge_model(
     """
     from cvqmpt_lab.training.edge_training import fit_edge_model  # torch: only to train
 
+    seed, scenes = whole_number("seed", seed), whole_number("scenes", scenes, 1)
     robot = robot_from_source(read_json_object(data / DESCRIPTION_FILE).get("recipe", {}).get("robot"))
     model = read_model(resolve_model(weights, VQ_MPT, robot_signature(robot)))
     untrained = EdgeModel(SmallNetwork.untrained(robot.dof + 1), robot)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -29,6 +29,7 @@ from cvqmpt_lab.vqmpt.config import SerialChain
 
 FIRST_SCENE = 10_000_000  # scenes of evaluation suites have smaller numbers
 SCENES_PER_SEED = 1_000_000
+MOST_SEED = 3999  # larger ones would number scenes beyond 2^32
 SCENES_PER_SHARD = 16
 PANDA = {"name": "panda"}
 Shard = tuple[IndexRow, bytes]
@@ -48,11 +49,9 @@ class SceneRecipe(ABC):
         for family in self.families:
             if family not in FAMILIES:
                 family_scene(family, 0)
-        if not 0 <= self.seed < 4000 or not 1 <= self.scenes <= SCENES_PER_SEED:
-            raise InvalidInputError(
-                f"seed {self.seed} and {self.scenes} scenes: give a seed from 0 to 3999 and at most "
-                f"{SCENES_PER_SEED} scenes"
-            )
+        whole_number("seed", self.seed, 0, MOST_SEED)
+        whole_number("scenes", self.scenes, 1, SCENES_PER_SEED)
+        whole_number("paths per scene", self.paths_per_scene, 1)
 
     def scene_of(self, index: int) -> tuple[int, int]:
         """Family index and scene number of scene `index` of this dataset; numbers decide which scenes validate."""

@@ -7,13 +7,12 @@ kitchen of the tasks, with its published dimensions, is never among these.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
-from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.kitchen import KitchenParameters, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -33,8 +32,7 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
     The older 6-joint data used 6 cubes and 6 spheres.
     """
     for what, value in (("seed", seed), ("n_cubes", n_cubes), ("n_spheres", n_spheres)):
-        if not isinstance(value, Integral) or isinstance(value, bool) or not 0 <= value < 2**32:
-            raise InvalidInputError(f"{what} must be an integer from 0 to 2**32 - 1, got {value!r}")
+        whole_number(what, value, 0, 2**32 - 1)
     rng = np.random.RandomState(seed)
     cube_centres = _scattered(rng, n_cubes, CUBE_LIFT)
     yaws = rng.uniform(0.0, 2.0 * math.pi, n_cubes)
@@ -66,7 +64,7 @@ def family_scene(family: str, number: int) -> Scene:
     """Return scene `number` of a family; UnknownChoiceError lists the families if there is no such one."""
     if family not in FAMILIES:
         raise UnknownChoiceError("scene family", family, FAMILIES)
-    return FAMILIES[family](number)
+    return FAMILIES[family](whole_number("number of the scene", number))
 
 
 def _table(number: int) -> Scene:

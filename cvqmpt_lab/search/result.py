@@ -2,10 +2,14 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from numbers import Real
+from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, shown, whole_number
+
+MOST_ITERATIONS = 2**53  # more are no whole numbers in json
 
 
 class PlanStatus(StrEnum):
@@ -29,10 +33,19 @@ class Budget:
     def __post_init__(self) -> None:
         if self.seconds is None and self.iterations is None:
             raise InvalidInputError("a budget needs seconds, iterations or both")
-        for name in ("seconds", "iterations"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InvalidInputError(f"budget {name} must be positive, not {value}")
+        if self.iterations is not None:
+            whole = whole_number("budget iterations", self.iterations, 1, MOST_ITERATIONS)
+            object.__setattr__(self, "iterations", whole)
+        if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
+            raise InvalidInputError(f"budget seconds {shown(self.seconds)}: give a number above 0")
+
+    @classmethod
+    def require(cls, value: Any, what: str = "budget") -> None:
+        """Refuse what is no budget: InvalidInputError calls it `what`."""
+        if not isinstance(value, cls):
+            raise InvalidInputError(
+                f"{what} {shown(value)}: give Budget(seconds=...), Budget(iterations=...) or both in one"
+            )
 
 
 @dataclass(frozen=True)

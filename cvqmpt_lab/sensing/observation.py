@@ -11,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
@@ -29,8 +29,8 @@ class Observer:
     """
 
     def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
-        if scenes < 1:
-            raise InvalidInputError(f"scenes kept by an observer: {scenes}; give at least 1")
+        whole_number("scenes kept by an observer", scenes, 1)
+        whole_number("seed", seed)
         self.settings = CameraSettings.like_training() if settings is None else settings
         self.seed, self._kept = seed, scenes
         self._clouds: OrderedDict[Scene, np.ndarray] = OrderedDict()

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
+from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, whole_number
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -78,6 +78,8 @@ def solve_task(
     backend: str = "compiled",
 ) -> TaskSolution:
     """Plan, certify and time every phase; `budget` is that of one planning run."""
+    Budget.require(budget)
+    seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
     return _Run(task, method, budget, seed, timing or TimingSettings(), backend).solve()
 

@@ -33,7 +33,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from cvqmpt_lab.codec.plain import differences, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.files import (
     locked,
     make_folder,
@@ -90,6 +90,7 @@ def run_training(
     another training uses the folder, or `torchrun` starts several processes for stage1; later when the loss is not
     finite or the disk is full. KeyboardInterrupt after Ctrl-C (or SIGTERM), once saved.
     """
+    seed = whole_number("seed", seed)
     rank, count = joined_processes()
     dataset = open_dataset(data, verify=verify)
     made = profile.stage(stage, dataset, dictionary, seed, _device(device))

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -48,11 +48,8 @@ class UpdateSettings:
     samples: int = 2000  # draws of each code's Gaussian, before and after
 
     def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("samples", 1)):
-            if getattr(self, name) < least:
-                raise InvalidInputError(
-                    f"{name} of the update is {getattr(self, name)}; give {least} or more"
-                )
+        whole_number("seed of the update", self.seed)
+        whole_number("samples of the update", self.samples, 1)
 
 
 class Gaussians(NamedTuple):

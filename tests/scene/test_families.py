@@ -43,5 +43,5 @@ def test_objects_follow_the_documented_draws(seed, n_cubes, n_spheres):
 
 @pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 0.5}, {"seed": 0, "n_cubes": -1}, {"seed": True}])
 def test_numbers_that_are_no_counts_are_refused(bad):
-    with pytest.raises(InvalidInputError, match="must be an integer"):
+    with pytest.raises(InvalidInputError, match="give a whole number from 0 to 4294967295"):
         random_scene(**bad)

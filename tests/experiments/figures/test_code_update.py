@@ -69,8 +69,8 @@ def test_histogram_by_hand():
         (MarkovTail.of, [[], (1.0,)], "Markov bound"),
         (MarkovTail.of, [[1.0], (0.0,)], "Markov bound"),
         (MarkovTail.of, [[1.0], (-1.0, 2.0)], "Markov bound"),
-        (lambda samples: UpdateSettings(samples=samples), [0], "samples of the update is 0"),
-        (lambda seed: UpdateSettings(seed=seed), [-1], "seed of the update is -1"),
+        (lambda samples: UpdateSettings(samples=samples), [0], "samples of the update 0: give"),
+        (lambda seed: UpdateSettings(seed=seed), [-1], "seed of the update -1: give"),
     ],
 )  # fmt: skip
 def test_bad_numbers_are_refused(make, given, said):
@@ -159,7 +159,7 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
     [
         (["histogram", "--planners", "birrt"], "unknown arguments: --planners birrt"),
         (["pie"], "unknown figure 'pie'; valid choices: histogram, concept"),
-        (["histogram", "--seed", "-1"], "seed of the update is -1"),
+        (["histogram", "--seed", "-1"], "seed of the update -1: give"),
         (["histogram", "--problem", "150"], "unknown problem 150"),
         (["histogram", "--model", "/nowhere"], "/nowhere"),
     ],
