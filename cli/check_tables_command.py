@@ -9,7 +9,13 @@ from experiments import regression
 from experiments.regression import EXPECTED, Expectations, compare, made_with, measure
 from experiments.run import models_of
 from paper_tables.claims_page import committed_pages, stale_pages
-from paper_tables.committed import RESULTS, committed_directories, differing_cells, untraceable
+from paper_tables.committed import (
+    RESULTS,
+    committed_directories,
+    differing_cells,
+    require_checkout,
+    untraceable,
+)
 
 EXAMPLES = ("cvqmpt check-tables", "cvqmpt check-tables --update")
 
@@ -24,6 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare, or update; exit code 1 when something differs."""
+    if args.expected == EXPECTED or args.results == RESULTS:
+        require_checkout("cvqmpt check-tables", "--expected F.json and --results DIR")
     expected = None
     if args.update:
         writable_file(args.expected)

@@ -7,7 +7,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import PAGE, committed_pages, page_text
-from paper_tables.committed import RESULTS, committed_directories
+from paper_tables.committed import RESULTS, committed_directories, require_checkout
 
 PAGE_NAME = "claims.md"
 EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all")
@@ -23,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Judge, write and say the verdicts."""
+    if args.results is None:
+        require_checkout("cvqmpt claims", "a folder of results directories")
     pages = committed_pages() if args.results is None else pages_of(args.results)
     for path, text in pages.items():
         write_text(path, text)

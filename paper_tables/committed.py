@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from itertools import zip_longest
 from pathlib import Path
 
-from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from paper_tables.paper_numbers import PUBLISHED
@@ -17,6 +17,15 @@ from paper_tables.suite_tables import render_directory
 RESULTS = PUBLISHED.parent / "results"
 CELL_SEPARATORS = {".md": "|", ".tex": "&"}
 FIGURE_MODEL = "vq_mpt"
+
+
+def require_checkout(command: str, instead: str) -> None:
+    """Refuse a command where the package is installed without the committed results; instead: what it can be given."""
+    if not RESULTS.is_dir():
+        raise InvalidInputError(
+            f"{command} needs a checkout of the project: the committed results and expectations are not part of the "
+            f"installed package; run it there, or give {instead}"
+        )
 
 
 def committed_directories(results: Path = RESULTS) -> list[Path]:

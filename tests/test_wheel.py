@@ -57,3 +57,13 @@ def test_it_plans_from_an_empty_folder(site, tmp_path):
     where = [sys.executable, "-c", "import cli.main, cvqmpt_lab; print(cvqmpt_lab.__file__)"]
     found = subprocess.run(where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     assert Path(found.stdout.strip()) == site / "cvqmpt_lab" / "__init__.py"
+
+
+@pytest.mark.parametrize("command", ["check-tables", "check-tables --update", "claims"])
+def test_what_compares_with_committed_results_says_that_it_needs_a_checkout(site, tmp_path, command):
+    done = subprocess.run(
+        [sys.executable, site / "bin" / "cvqmpt", *command.split()],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(site)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert "needs a checkout" in done.stderr and not list((site / "paper_tables").glob("*.md"))
