@@ -1,17 +1,24 @@
 """The certificate: it accepts a planned path and rejects every kind of broken one."""
 
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict, certify
 from cvqmpt_lab.constraints import between_states
+from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
-from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.search.result import Budget, JointPath
+from experiments.suites.place_task import place_problem
+
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -105,3 +112,30 @@ def test_all_reasons_are_given(problem):
     found = " | ".join(reasons(problem, wild))
     for part in ("begin", "end at a goal", "step of", "limits", "manifold", "collision"):
         assert part in found
+
+
+AFTER_OTHERS = """
+import sys
+import numpy as np
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.search.result import JointPath
+from experiments.suites.place_task import place_problem
+problem, rng = place_problem(2), np.random.default_rng(1)
+for _ in range(int(sys.argv[1])):
+    certify(problem, JointPath(problem.robot.random_configurations(rng, 4)))
+print(certify(problem, JointPath(np.load(sys.argv[2]))))
+"""
+
+
+def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
+    """Bit by bit: GJK must not begin where an earlier call ended, and boxes must have one size in every process."""
+    found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0, clearance=False)
+    np.save(tmp_path / "states.npy", found.simplified.path.states)
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", AFTER_OTHERS, str(count), tmp_path / "states.npy"],
+            cwd=ROOT, capture_output=True, text=True, check=True,
+        ).stdout
+        for count in (0, 1, 40)
+    ]  # fmt: skip
+    assert "min_clearance" in printed[0] and printed == 3 * printed[:1]

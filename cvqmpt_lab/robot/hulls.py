@@ -12,6 +12,12 @@ from cvqmpt_lab.robot.robot import LinkGeometry, in_link
 FARTHEST = 1e4  # [m] from the origin of its frame, of a vertex
 THINNEST = 1e-6  # [m] of a mesh up to 1 m across; of a larger one in proportion
 
+# In coal 3.0 the first direction in which a process asks for the furthest point of a box decides, for all boxes
+# afterwards, whether they are larger by 1e-10 of their size on one side. They are: it is decided here, along an axis.
+# Else the last digits of all distances would depend on the first problem of a process.
+_BOX, _BESIDE = coal.Box(1.0, 1.0, 1.0), coal.Transform3s(np.eye(3), np.array([2.0, 0.0, 0.0]))
+coal.distance(_BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult())
+
 
 def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
     """Every collision mesh becomes its convex hull; InvalidInputError names one that has none."""
