@@ -4,10 +4,10 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from cli.certificate_record import compared_lines, differences, record
 from cli.options import log, numbers, positive
 from cli.robot_options import add_problem, problem_asked
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict
@@ -18,7 +18,8 @@ from cvqmpt_lab.trajectory.trajectory_files import read_motion
 
 EXAMPLES = (
     "cvqmpt certify path.csv place-task --problem 7",
-    "cvqmpt certify path.json --problem-file mine.json --json",
+    "cvqmpt certify path.json --problem-file mine.json --json > certificate.json",
+    "cvqmpt certify path.json --problem-file mine.json --against certificate.json",
     'cvqmpt certify motion.json place-task --problem 7 --current "0.1 -0.7 0 -2.3 0 1.6 0.8"',
     "cvqmpt certify runs/place-task",
 )
@@ -33,13 +34,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--current", metavar="Q", help="where the arm stands now, in quotes [rad]: the motion begins there")
     start = "how far from there it may begin (0.01)"
     add("--tolerance", type=positive, default=0.01, metavar="RAD", help=start)
-    add("--json", action="store_true", help="print one json object instead of the report")
+    add(
+        "--json",
+        action="store_true",
+        help="print one json object instead of the report, with all that was compared",
+    )
+    earlier = "what --json printed of the same motion earlier, by another version: say what differs"
+    add("--against", type=Path, metavar="EARLIER.json", help=earlier)
 
 
 def run(args: argparse.Namespace) -> int:
     """Judge and print; exit code 1 when anything is refused or not proven."""
     if args.path.is_dir():
-        if args.suite or args.problem_file or args.current:
+        if args.suite or args.problem_file or args.current or args.against:
             raise InvalidInputError("the rows of a run name their problems; give the directory alone")
         return _certify_run(args.path, args.json)
     motion = read_motion(args.path)
@@ -50,10 +57,17 @@ def run(args: argparse.Namespace) -> int:
         )
     current = None if args.current is None else np.array(numbers("--current", args.current))
     found = dry_run(problem, motion, current, args.tolerance)
-    if args.json:
-        print(json.dumps(_data(found), indent=1, allow_nan=False))
-    else:
-        print("\n".join(_report(found, problem.name)))
+    contents = record(problem, motion, found)
+    lines = [
+        *_report(found, problem.name),
+        *(compared_lines(contents) if found.certificate.states_checked else ()),
+    ]
+    if args.against is not None:
+        changed = differences(contents, args.against)
+        contents["differences"] = changed
+        lines += [f"differs     {name}: {old} -> {new}" for name, (old, new) in changed.items()]
+        lines += [] if changed else [f"differs     in nothing from {args.against}"]
+    print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if found.certificate.valid else 1
 
 
@@ -86,8 +100,17 @@ def _report(found: DryRun, problem: str) -> list[str]:
         f"constraint  at most {certificate.max_violation_rad:.2g} rad, {certificate.max_violation_m:.2g} m outside; "
         f"{TOLERANCE:g} is allowed"
     )
-    lines.append(f"clearance   {1e3 * certificate.min_clearance_m:.2f} mm, the smallest found")
+    lines.append(f"clearance   {_clearance(found)}")
     return [*lines, f"resolution  {_resolution(found)}"]
+
+
+def _clearance(found: DryRun) -> str:
+    """The smallest distance found, between which pieces, and where."""
+    certificate = found.certificate
+    if certificate.min_clearance_at is None:
+        return "there is nothing to keep a distance from"
+    where = _where(found, certificate.min_clearance_at)
+    return f"{1e3 * certificate.min_clearance_m:.2f} mm, the smallest found, {where}: {certificate.min_clearance_pair}"
 
 
 def _resolution(found: DryRun) -> str:
@@ -97,28 +120,6 @@ def _resolution(found: DryRun) -> str:
     proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
     curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
     return f"{'gaps' if certificate.unproven_rad > 0.0 else proven}, by {certificate.states_checked} looks{curve}"
-
-
-def _data(found: DryRun) -> dict[str, Any]:
-    """The same for programs; undefined numbers are null."""
-    certificate = found.certificate
-    faults = []
-    for fault in certificate.faults:
-        time = None
-        if found.times is not None and fault.at is not None:
-            time = float(np.interp(fault.at, np.arange(len(found.times)), found.times))
-        faults.append({"kind": str(fault.kind), "text": fault.text, "state": fault.at, "time_s": time})
-    figures = {name: value for name, value in vars(certificate).items() if name != "faults"}
-    for name, value in figures.items():
-        figures[name] = value if value is not None and math.isfinite(value) else None
-    return {
-        "valid": certificate.valid,
-        "verdict": str(certificate.verdict),
-        "faults": faults,
-        "apart_m": found.apart,
-        "curve": found.curve,
-        **figures,
-    }
 
 
 def _certify_run(directory: Path, as_json: bool) -> int:

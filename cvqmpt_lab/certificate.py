@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker, Nearest
 from cvqmpt_lab.collision.motion_proof import MotionProof, prove_free
 from cvqmpt_lab.constraints.between_states import largest_violation
 from cvqmpt_lab.problem import PlanningProblem
@@ -66,6 +66,8 @@ class Certificate:
         float  # smallest distance found, at up to CLEARANCE_STATES states [m]; nan when not asked for
     )
     states_checked: int  # configurations at which distances were compared
+    min_clearance_pair: str = ""  # the two pieces it is between
+    min_clearance_at: float | None = None  # where it was found, as `Fault.at`
     unproven_rad: float = 0.0  # longest stretch not proven free although its middle is free [rad]
     unproven_m: float = 0.0  # the furthest that a point of the robot can move in half of that stretch [m]
 
@@ -116,14 +118,17 @@ def certify(
         text = f"not proven free over {length:.1g} rad, {1e3 * moved:.1g} mm to each side of the middle"
         text += f", where {pair} are {1e3 * gap:.2g} mm apart"
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
+    closest = _closest(checker, proof) if clearance else None
     return Certificate(
-        tuple(faults),
-        violation.radians,
-        violation.metres,
-        _clearance(checker, proof) if clearance else np.nan,
-        proof.looks,
-        proof.unproven.length if proof.unproven else 0.0,
-        moved,
+        faults=tuple(faults),
+        max_violation_rad=violation.radians,
+        max_violation_m=violation.metres,
+        min_clearance_m=np.nan if closest is None else closest[0].distance,
+        states_checked=proof.looks,
+        min_clearance_pair=str(closest[0].pair) if closest and closest[0].pair else "",
+        min_clearance_at=_place(path.states, closest[1]) if closest and closest[0].pair else None,
+        unproven_rad=proof.unproven.length if proof.unproven else 0.0,
+        unproven_m=moved,
     )
 
 
@@ -138,10 +143,10 @@ def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
     return float(off.argmin() + share[off.argmin()])
 
 
-def _clearance(checker: CollisionChecker, proof: MotionProof) -> float:
-    """Smallest distance [m] at the states with least room in the proof, or at the colliding one."""
+def _closest(checker: CollisionChecker, proof: MotionProof) -> tuple[Nearest, np.ndarray]:
+    """Smallest distance at the states with least room in the proof, or at the colliding one; and the state (n,)."""
     places = proof.tightest[:CLEARANCE_STATES] if proof.colliding is None else [proof.colliding]
-    return min(checker.clearance(q) for q in places)
+    return min(((checker.nearest(q), q) for q in places), key=lambda found: found[0].distance)
 
 
 def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]:

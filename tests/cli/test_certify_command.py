@@ -16,12 +16,12 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
 from experiments.run import Experiment, executor_for, run_experiment
-from experiments.suites.place_task import DOOR
+from experiments.suites.place_task import DOOR, carried_can
 
 MIDDLE = 40
 POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'
@@ -91,6 +91,52 @@ def test_states_far_apart_are_refused_in_a_line_each(tmp_path, capsys, states, f
     assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
     out = capsys.readouterr()
     assert out.err == "" and len(out.out.splitlines()) == 3 and max(map(len, out.out.splitlines())) < 120
+
+
+def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, region_problem, states):
+    far = SceneObject("far", Sphere(0.1), pose((9.0, 0.0, 0.0)))
+    problem = replace(
+        region_problem, scene=region_problem.scene.with_objects(far), attachments=(carried_can(),)
+    )
+    found, robot = judged(states, problem)[1], problem.robot
+    counts = found["compared"]
+    assert counts["obstacles"] == len(problem.scene.obstacles) and "far" in counts["out_of_reach"]
+    assert counts["moving_pieces"] + counts["standing_pieces"] == len(robot.links)
+    hand = [pair["first"] for pair in counts["left_out"] if pair["second"] == "carried_can"]
+    assert all(name.startswith(("panda_hand", "panda_left", "panda_right", "panda_link7")) for name in hand)
+    assert len(counts["left_out"]) == len(robot.left_out_pairs) + len(hand)
+    assert counts["own_pairs"] == len(robot.self_collision_pairs) + len(robot.links) - len(hand)
+    k = int(found["min_clearance_at"])
+    q = states[k] + (found["min_clearance_at"] - k) * (states[min(k + 1, len(states) - 1)] - states[k])
+    distance, pair = problem.collision_checker().nearest(q)
+    assert distance == pytest.approx(found["min_clearance_m"], abs=1e-9)
+    assert str(pair) == found["min_clearance_pair"]
+
+
+def test_two_certificates_of_one_path_are_compared(judged, states, tmp_path, region_problem, capsys):
+    """What an earlier version wrote, with another bound and another reason; not of another path or problem."""
+    earlier = judged(states)[1]
+    (tmp_path / "now.json").write_text(json.dumps(earlier))
+    assert judged(states, options=["--against", str(tmp_path / "now.json")])[1]["differences"] == {}
+    earlier["tolerances"]["step_rad"] = 0.2
+    pair = earlier["compared"]["left_out"][3]
+    reason, pair["reason"] = pair["reason"], "SRDF: Never seen"
+    (tmp_path / "earlier.json").write_text(json.dumps(earlier))
+    options = ["--against", str(tmp_path / "earlier.json")]
+    code, found = judged(states, options=options)
+    assert code == 0 and found["differences"] == {
+        "tolerances.step_rad": [0.2, 0.11],
+        f"compared.left_out.{pair['first']} and {pair['second']}": ["SRDF: Never seen", reason],
+    }
+    np.savetxt(tmp_path / "a.csv", states, delimiter=",", fmt="%.17g")
+    words = ["certify", tmp_path / "a.csv", "--problem-file", tmp_path / "problem.json", *options]
+    replace(region_problem, goals=states[-1:]).save(tmp_path / "problem.json")
+    assert "is of another problem" in refused(capsys, *words)
+    region_problem.save(tmp_path / "problem.json")
+    np.savetxt(tmp_path / "a.csv", states[:-1], delimiter=",", fmt="%.17g")
+    assert "is of another motion" in refused(capsys, *words)
+    (tmp_path / "earlier.json").write_text("{}")
+    assert "has no problem_sha256" in refused(capsys, *words)
 
 
 def until(state, direction, reached):
