@@ -86,8 +86,8 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
         if solution.simplified is not None:
             truth = certify(item.true_problem, solution.simplified.path)
-            hit = any(fault.kind is FaultKind.COLLISION for fault in truth.faults)
-            row = replace(row, true_free=not hit, true_clearance_m=_defined(truth.min_clearance_m))
+            doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {fault.kind for fault in truth.faults}
+            row = replace(row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m))
     return Outcome([row], _states([solution]))
 
 

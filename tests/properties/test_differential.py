@@ -110,8 +110,10 @@ def test_certificate(trials):
             kinds = {str(fault.kind) for fault in judged.faults}
             fine = evenly_spaced(piece, FINE)
             excess = [use.excess for use in bound_usage(problem.robot, problem.constraint, fine)]
-            assert "collision" in kinds or not checker.in_collision_batch(fine).any(), piece.tolist()
-            assert "manifold" in kinds or max(excess, default=0.0) <= TOLERANCE, piece.tolist()
+            assert kinds & {"collision", "not_proven"} or not checker.in_collision_batch(fine).any(), (
+                piece.tolist()
+            )
+            assert kinds & {"manifold", "not_proven"} or max(excess, default=0.0) <= TOLERANCE, piece.tolist()
 
 
 @pytest.mark.promise("motions are as fast as toppra's, to 1 %", "paths", ci=2, long=1000)
