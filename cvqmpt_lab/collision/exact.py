@@ -22,6 +22,7 @@ from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
 LONGEST_REACH = 20.0  # [m] of an arm with what it carries; more is a misplaced unit, and would never end
 INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)  # [m] of boxes in a broad phase, which then reports what is that close
+FEW_PAIRS = 100  # of the robot's own pieces are all measured; of more, those whose enclosing balls are close
 ROUNDING = 1e-6
 """[m] coal's GJK stops when a distance d [m] is known to ROUNDING (1 + d); what it returns is never less than d."""
 
@@ -88,6 +89,9 @@ class CollisionChecker:
         objects = self._geometry.geometryObjects
         self._pieces = [item.name for k, *_ in self._links for item in objects if item.parentJoint == k]
         self._moving = [item for *_, items in self._links for item in items]
+        self._balls = np.array([g.parentJoint for g in objects], dtype=int), _balls(objects)
+        pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
+        self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments)))
         self._worlds: dict[float, _World] = {}
         self._callback = coal.CollisionCallBackDefault()
@@ -123,7 +127,7 @@ class CollisionChecker:
         if len(self._geometry.collisionPairs) == 0:
             return np.ones(len(q), dtype=bool)
         moved = self._needed(self._sweep.between(q, hulls))
-        return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)])
+        return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
 
     def _needed(self, moved: np.ndarray) -> np.ndarray:
         """What coal's distances must exceed [m] where points may have moved that far: with margin and rounding."""
@@ -135,11 +139,20 @@ class CollisionChecker:
 
     def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
         """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
-        nearest = pin.computeDistances(self._model, self._data, self._geometry, self._own_results, q)
-        found = self._own_results.distanceResults
-        if found[nearest].min_distance > gaps.max():
-            return True
-        return all(found[k].min_distance > gap for k, gap in enumerate(gaps.tolist()))
+        geometry, results = self._geometry, self._own_results
+        if len(gaps) <= FEW_PAIRS:
+            nearest = pin.computeDistances(self._model, self._data, geometry, results, q)
+            found = results.distanceResults
+            if found[nearest].min_distance > gaps.max():
+                return True
+            return all(found[k].min_distance > gap for k, gap in enumerate(gaps.tolist()))
+        pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
+        (first, second), (joints, balls) = self._own_pairs, self._balls
+        R, t = (np.array([getattr(T, part) for T in self._data.oMi]) for part in ("rotation", "translation"))
+        centres = np.einsum("kij,kj->ki", R[joints], balls[:, :3]) + t[joints]
+        between = np.linalg.norm(centres[first] - centres[second], axis=1)
+        near = np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps)
+        return all(pin.computeDistance(geometry, results, k).min_distance > gaps[k] for k in near.tolist())
 
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """The first overlapping pair by name, or None."""
@@ -409,6 +422,11 @@ class _Motions:
 def _lengths(vectors: np.ndarray) -> np.ndarray:
     """Of vectors (2, 3, ...) along the second axis."""
     return np.sqrt(np.einsum("ai...,ai...->a...", vectors, vectors))
+
+
+def _balls(items: Sequence[pin.GeometryObject]) -> np.ndarray:
+    """`_ball_around` each piece alone, (p, 4) [m]."""
+    return np.array([_ball_around([item]) for item in items]).reshape(-1, 4)
 
 
 def _ball_around(items: Sequence[pin.GeometryObject]) -> np.ndarray:

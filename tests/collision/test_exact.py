@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from cvqmpt_lab.collision import exact
 from cvqmpt_lab.collision.exact import ROUNDING, CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
@@ -145,6 +146,21 @@ def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, 
         elif room > CONTACT:
             assert not carrying.in_collision(q)
     assert before > 0
+
+
+@pytest.mark.parametrize("name", ["panda", "tiago-no-hand"])
+def test_balls_around_pieces_change_no_proof(name, monkeypatch):
+    """Of many pairs only those with close balls are measured: the same motions are proven."""
+    robot = robot_from_source({"name": name})
+    bar = Attachment("bar", Box((0.02, 0.02, 0.3)), pose((0.1, 0.0, 0.1)))
+    checker, rng = CollisionChecker(robot, NOTHING, (bar,)), np.random.default_rng(4)
+    states = robot.random_configurations(rng, 400)
+    hulls = states[:, None] + rng.normal(0.0, 0.02, (400, 2, robot.dof))
+    proven = []
+    for few in (0, 100_000):
+        monkeypatch.setattr(exact, "FEW_PAIRS", few)
+        proven.append(checker.clear_of_itself(states, hulls))
+    assert (proven[0] == proven[1]).all() and 20 < proven[0].sum() < 380
 
 
 def test_what_is_never_paired(panda):
