@@ -1,8 +1,9 @@
-"""A triangle mesh as a union of convex pieces that holds all of its surface.
+"""A triangle mesh as a union of convex pieces that holds its surface and, if it is closed, what it encloses.
 
-The mesh is cut by planes along its axes. A piece is the convex hull of what lies between the cuts, so the union holds
-the surface wherever the cuts are; what is too much of it is hull that is not solid. The piece with most of that is
-cut next, where its halves' hulls are smallest, through what is not solid. How much is solid is measured on a grid.
+The mesh is cut by planes along its axes. A piece is the convex hull of what lies between the cuts: of the surface, and
+of the corners between the cuts that are inside. So the union holds the mesh wherever the cuts are; what is too much of
+it is hull that is not solid. The piece with most of that is cut next, where its halves' hulls are smallest, through
+what is not solid. How much is solid is measured on a grid.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,7 +17,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from cvqmpt_lab.codec.forms import FloatArray
-from cvqmpt_lab.scene.shapes import MIN_THICKNESS, check_volume, thickness, thin_direction
+from cvqmpt_lab.scene.shapes import MIN_THICKNESS, check_volume, thickness
 
 MOST_PIECES = 48
 MOST_VERTICES = 120  # of a hull
@@ -26,8 +27,11 @@ SLACK = 1e-9  # [m] that such a hull is larger, for rounding
 ENOUGH = 0.02  # share of the mesh's own hull that the pieces together may hold too much
 CELLS = 56  # of the grid along the mesh's longest side
 SAMPLES_PER_CELL = 20  # of the surface in a cell that it crosses
-SKETCH = 600  # triangles by which cuts are compared
+SKETCH, COARSE = 600, 120  # triangles by which cuts are compared: all of a piece that has few, else fewer
 EVEN_CUTS, FACE_CUTS = 3, 4  # along each axis: evenly spread, and beside the largest faces across it
+ASIDE = 1e-8 * np.array([0.0, 0.618, 0.414])  # of a cell, by which rays pass the corners and edges of faces
+FLAT = 1e-12  # area, in squares of its longest edge, of a triangle without area
+LEAST_FACE = 0.01  # share of a piece's surface, of faces beside which it is cut
 NUDGE = 1e-4  # of a piece's length, between a face and the cut beside it
 THROUGH_VOID = 0.05  # weight of what a cut opens, among cuts that make hulls equally small
 ACROSS = 0.99  # cosine between an axis and the normal of a face across it
@@ -36,7 +40,7 @@ ACROSS = 0.99  # cosine between an axis and the normal of a face across it
 class FilledCells:
     """Which cells of a grid a mesh fills; the centres of the outermost ones are where it ends."""
 
-    def __init__(self, triangles: FloatArray) -> None:
+    def __init__(self, triangles: FloatArray, closed: bool) -> None:
         points = triangles.reshape(-1, 3)
         self._low, extent = points.min(axis=0), np.ptp(points, axis=0)
         self._cell = float(extent.max()) / CELLS
@@ -48,10 +52,13 @@ class FilledCells:
         filled = ndimage.binary_fill_holes(surface)
         self._inside = filled & ~surface
         self._share = filled - 0.5 * surface
-        mesh = trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3))
-        if mesh.is_watertight:  # correct the cells' volume by the mesh's own
+        self._closed, self._triangles = closed, triangles
+        self._ends = [np.ascontiguousarray(end(axis=1).T[1:]) for end in (triangles.min, triangles.max)]
+        if self._closed:  # correct the cells' volume by the mesh's own
             cells_volume = self._share.sum() * self._cell**3
-            self._share = self._share * float(np.clip(abs(mesh.volume) / cells_volume, 0.5, 1.5))
+            self._share = self._share * float(
+                np.clip(abs(as_mesh(triangles).volume) / cells_volume, 0.5, 1.5)
+            )
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
         """Solid volume [m^3] between two corners (3,), about."""
@@ -60,14 +67,22 @@ class FilledCells:
         part = self._share[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
         return float(part.sum()) * self._cell**3
 
-    def voids(self, hull: FloatArray, low: FloatArray, high: FloatArray) -> Callable[[int, float], float]:
-        """A function from an axis and a coordinate to the area [m^2] there of a hull but not of the solid."""
+    def voids(self, planes: FloatArray, low: FloatArray, high: FloatArray) -> Callable[[int, float], float]:
+        """A function from an axis and a coordinate to the area [m^2] there of a hull but not of the solid.
+
+        planes: (p, 4) of the hull: outward normals, and offsets [m] that are negative for an origin inside.
+        """
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
-        grids = np.indices(last - first + 1).reshape(3, -1).T + first
-        equations = ConvexHull(hull).equations
-        centres = self._low + grids * self._cell
-        held = ((centres @ equations[:, :3].T + equations[:, 3]) < 0.0).all(axis=1)
-        void = (held & (self._share[tuple(grids.T)] == 0.0)).reshape(last - first + 1)
+        x, y, z = (self._low[k] + self._cell * np.arange(first[k], last[k] + 1) for k in range(3))
+        a, b, c, d = planes.T
+        beyond = (x[:, None, None] * a + y[:, None] * b) + d  # of every column of cells and plane, at z = 0
+        up, down, along = c > 0.0, c < 0.0, c == 0.0
+        top = (beyond[..., up] / -c[up]).min(axis=2, initial=np.inf)
+        bottom = (beyond[..., down] / -c[down]).max(axis=2, initial=-np.inf)
+        top[(beyond[..., along] >= 0.0).any(axis=2)] = -np.inf
+        held = (z > bottom[..., None]) & (z < top[..., None])
+        part = tuple(slice(i, j + 1) for i, j in zip(first, last, strict=True))
+        void = held & (self._share[part] == 0.0)
         areas = [self._cell**2 * void.sum(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
 
         def area(axis: int, at: float) -> float:
@@ -77,8 +92,22 @@ class FilledCells:
         return area
 
     def holds(self, points: FloatArray) -> np.ndarray:
-        """Whether points (k, 3) are well inside."""
+        """Whether points (k, 3) are inside a closed mesh, to about 1e-9 of its size; of an open one, well inside."""
+        if self._closed:
+            return np.array([self._encloses(point + ASIDE * self._cell) for point in points])
         return self._inside[tuple(self._cells_of(points, self._inside.shape).T)]
+
+    def _encloses(self, point: FloatArray) -> bool:
+        """Whether the mesh winds around a point (3,): of the faces that a ray along x crosses, fewer or more look its
+        way than against it. Also where the same count along the whole line is not 0: a ray has met an edge.
+        """
+        (y0, z0), (y1, z1) = self._ends
+        near = (y0 < point[1]) & (y1 > point[1]) & (z0 < point[2]) & (z1 > point[2])
+        a, b, c = np.moveaxis(self._triangles[near] - point, 1, 0)
+        turns = np.stack([u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1] for u, v in ((b, c), (c, a), (a, b))])
+        looks = (turns > 0.0).all(axis=0).astype(int) - (turns < 0.0).all(axis=0)
+        ahead = looks * (turns[0] * a[:, 0] + turns[1] * b[:, 0] + turns[2] * c[:, 0]) > 0.0
+        return bool(looks[ahead].sum() != 0 or looks.sum() != 0)
 
     def _cells_of(self, points: FloatArray, shape: np.ndarray | tuple[int, ...]) -> np.ndarray:
         """Indices (k, 3) of the cells with points (k, 3)."""
@@ -101,14 +130,19 @@ class Piece:
         return hull_of(np.concatenate([self.triangles.reshape(-1, 3), corners[self.solid.holds(corners)]]))
 
     @cached_property
+    def faces(self) -> ConvexHull:
+        """Its hull with faces and volume."""
+        return ConvexHull(self.hull)
+
+    @cached_property
     def excess(self) -> float:
         """How much of its hull is not solid [m^3]."""
-        return max(0.0, _volume(self.hull) - self.solid.volume(self.low, self.high))
+        return max(0.0, self.faces.volume - self.solid.volume(self.low, self.high))
 
     def halves(self) -> "list[Piece]":
         """The two parts on the sides of the best cut; itself where no cut leaves something on both."""
-        sketch, whole = self._sketch(), max(_volume(self.hull), 1e-30)
-        area = self.solid.voids(self.hull, self.low, self.high)
+        sketch, whole = self._sketch(), max(self.faces.volume, 1e-30)
+        area = self.solid.voids(planes_around(self.faces), self.low, self.high)
         best, axis, at = np.inf, 0, 0.0
         for axis_now, at_now in self._cuts():
             sides = _sides(sketch, axis_now, at_now)
@@ -127,10 +161,11 @@ class Piece:
         return parts if all(len(part.triangles) for part in parts) else [self]
 
     def _sketch(self) -> FloatArray:
-        """Some triangles (f, 3, 3): the largest, and some of the others."""
+        """Some triangles (f, 3, 3): all, or the largest and some of the others."""
+        count = SKETCH if len(self.triangles) <= SKETCH else COARSE
         order = np.argsort(-trimesh.triangles.area(self.triangles))
-        rest = order[SKETCH // 2 :]
-        return self.triangles[np.r_[order[: SKETCH // 2], rest[:: max(1, 2 * len(rest) // SKETCH)]]]
+        rest = order[count // 2 :]
+        return self.triangles[np.r_[order[: count // 2], rest[:: max(1, 2 * len(rest) // count)]]]
 
     def _cuts(self) -> Iterator[tuple[int, float]]:
         """Places worth cutting at: (axis, coordinate)."""
@@ -142,7 +177,8 @@ class Piece:
         for axis in np.flatnonzero(length > 4.0 * NUDGE * length.max()):
             faces = np.abs(twice[:, axis]) > ACROSS * area
             at, which = np.unique(np.round(self.triangles[faces, 0, axis], 6), return_inverse=True)
-            largest = at[np.argsort(-np.bincount(which, area[faces], len(at)))[:FACE_CUTS]]
+            size = np.bincount(which, area[faces], len(at))
+            largest = [at[k] for k in np.argsort(-size)[:FACE_CUTS] if size[k] > LEAST_FACE * area.sum()]
             beside = [face + side * NUDGE * length[axis] for face in largest for side in (-1.0, 1.0)]
             evenly = low[axis] + length[axis] * np.arange(1, EVEN_CUTS + 1) / (EVEN_CUTS + 1)
             yield from ((int(axis), float(cut)) for cut in (*beside, *evenly))
@@ -151,22 +187,32 @@ class Piece:
 def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     """Cut a mesh into convex pieces.
 
-    triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m].
+    triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m]. Those without area are left out.
 
-    Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle [m].
+    Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle, and all that a
+    closed mesh encloses [m].
     InvalidInputError where the mesh as a whole spans no volume.
     """
+    edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+    without_points = triangles[edges.min(axis=1) > 0.0]  # flat ones among them can close a mesh
+    triangles = triangles[trimesh.triangles.area(triangles) > FLAT * edges.max(axis=1) ** 2]
     points = triangles.reshape(-1, 3)
     check_volume(points, "the corners of the mesh")
-    whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles))
-    enough = ENOUGH * _volume(whole.hull)
+    closed = as_mesh(triangles).is_watertight or as_mesh(without_points).is_watertight
+    whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles, closed))
+    enough = ENOUGH * whole.faces.volume
     parts, final = [whole], list[Piece]()  # final: those that cannot be cut
     while parts and len(parts) + len(final) < MOST_PIECES and sum(part.excess for part in parts) > enough:
         worst = max(parts, key=lambda part: part.excess)
         parts.remove(worst)
         halves = worst.halves()
         (parts if len(halves) > 1 else final).extend(halves)
-    return tuple(of_few_vertices(part.hull) for part in (*parts, *final))
+    return tuple(of_few_vertices(part.faces) for part in (*parts, *final))
+
+
+def as_mesh(triangles: FloatArray) -> trimesh.Trimesh:
+    """Triangles (f, 3, 3) with equal corners joined."""
+    return trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
 
 
 def _clipped(triangles: FloatArray, axis: int, at: float, sign: float) -> FloatArray:
@@ -206,14 +252,23 @@ def hull_of(points: FloatArray) -> FloatArray:
     return points[ConvexHull(points).vertices]
 
 
-def of_few_vertices(vertices: FloatArray) -> FloatArray:
-    """A hull of at most `MOST_VERTICES` that holds a hull of vertices (n, 3) [m].
+def of_few_vertices(hull: ConvexHull) -> FloatArray:
+    """Vertices (k, 3) of a hull, or of one of at most `MOST_VERTICES` that holds it [m].
 
     Where that has more, its faces but `PLANES` of them are left out; those are moved outwards until they hold it.
     """
+    vertices = hull.points[hull.vertices]
     if len(vertices) <= MOST_VERTICES:
         return vertices
-    normals = ConvexHull(vertices).equations[:, :3]
+    corners = HalfspaceIntersection(planes_around(hull), vertices.mean(axis=0)).intersections
+    return corners[ConvexHull(corners).vertices]
+
+
+def planes_around(hull: ConvexHull) -> FloatArray:
+    """Planes (p, 4) around a hull: outward normals, and offsets [m]; of one with many vertices about `PLANES`."""
+    if len(hull.vertices) <= MOST_VERTICES:
+        return hull.equations
+    normals, vertices = hull.equations[:, :3], hull.points[hull.vertices]
     chosen = [*np.eye(3), *-np.eye(3)]
     nearest = np.max(normals @ np.array(chosen).T, axis=1)
     while len(chosen) < PLANES:  # the normal farthest from those chosen
@@ -221,8 +276,7 @@ def of_few_vertices(vertices: FloatArray) -> FloatArray:
         nearest = np.maximum(nearest, normals @ chosen[-1])
     planes = np.unique(np.array(chosen), axis=0)
     reach = (vertices @ planes.T).max(axis=0) + SLACK
-    corners = HalfspaceIntersection(np.c_[planes, -reach], vertices.mean(axis=0)).intersections
-    return corners[ConvexHull(corners).vertices]
+    return np.c_[planes, -reach]
 
 
 def spread_points(triangles: FloatArray, count: int) -> FloatArray:
@@ -239,11 +293,11 @@ def spread_points(triangles: FloatArray, count: int) -> FloatArray:
 
 def _thickened(points: FloatArray) -> FloatArray:
     """Points (2 k, 3) whose hull holds the points and is thick enough, whatever they are."""
-    normal = thin_direction(points)
-    turned = np.linalg.svd(normal[None])[2]  # rows: the normal, and two directions across it
+    centred = points - points.mean(axis=0)
+    turned = np.linalg.eigh(centred.T @ centred)[1].T  # rows: the direction in which they extend least, first
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)
     gap = np.maximum(0.0, 2.0 * MIN_THICKNESS - (high - low)) / 2.0
     if (gap[1:] > 0.0).any():  # no more than a line: a box around it
         low, high = low - gap, high + gap
         return np.array(list(product(*zip(low, high, strict=True)))) @ turned
-    return np.concatenate([points - gap[0] * normal, points + gap[0] * normal])
+    return np.concatenate([points - gap[0] * turned[0], points + gap[0] * turned[0]])
