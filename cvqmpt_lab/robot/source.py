@@ -12,10 +12,11 @@ from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
-from cvqmpt_lab.codec.plain import from_plain, mapping
+from cvqmpt_lab.codec.plain import from_plain, located, mapping
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.robot import PANDA_ACCELERATION
+from cvqmpt_lab.robot.urdf import collada_unit
 
 ARTICULATED = "articulated"
 WHERE = "robot"  # the field's name in errors
@@ -225,7 +226,8 @@ def _installed_share() -> Path:
 def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]) -> list[str]:
     """Replace the names of collision meshes in a URDF by absolute paths, and return these.
 
-    Errors name a mesh that is not found.
+    The unit that a DAE file states, which pinocchio's loader ignores, goes into the mesh's scale. Errors name a mesh
+    that is not found, or whose unit is none.
     """
     found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
@@ -239,6 +241,11 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
             path = _in_package(package, rest, urdf, package_dirs)
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
+        if path.suffix.lower() == ".dae":
+            with located(f"{urdf.name}: mesh {name!r}"):
+                unit = collada_unit(path.read_bytes())
+            scale = [unit * float(number) for number in mesh.get("scale", "1 1 1").split()]
+            mesh.set("scale", " ".join(map(repr, scale)))
     return found
 
 

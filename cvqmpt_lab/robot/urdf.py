@@ -2,6 +2,7 @@
 
 import copy
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -270,6 +271,21 @@ SIZES: Mapping[str, Mapping[str, int]] = {  # numbers [m] in each attribute of a
     "sphere": {"radius": 1},
     "mesh": {},
 }
+
+
+def collada_unit(data: bytes) -> float:
+    """The unit [m] that a COLLADA file states, 1 if none; InvalidInputError if it is no positive number."""
+    stated = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
+    if stated is None:
+        return 1.0
+    try:
+        unit = float(stated[1])
+    except ValueError:
+        unit = math.nan
+    if not 0.0 < unit < math.inf:
+        text = stated[1].decode(errors="replace")
+        raise InvalidInputError(f"its unit is {shown(text)} m; give a positive number")
+    return unit
 
 
 def check_bodies(root: ElementTree.Element, path: Path) -> None:

@@ -1,7 +1,6 @@
 """Meshes from files: STL, OBJ, DAE, as convex pieces that hold all of the surface."""
 
 import io
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import trimesh
 
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing
 from cvqmpt_lab.scene.convex import convex_pieces
 
@@ -21,8 +21,8 @@ ROOM = 20.0  # [m] within which at least half of a mesh must lie
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     """Read a mesh as vertices (k, 3) [m] of convex pieces; see `convex_pieces`.
 
-    scale: [m] of one unit of the file. A DAE file states its unit, which is applied before; which
-        axis it calls up is ignored, as for meshes of robots.
+    scale: [m] of one unit of the file. The unit that a DAE file states is applied before, and which axis it calls up is
+        ignored, both as for meshes of robots.
 
     InvalidInputError for a file that cannot be read, has no triangle, too many, or none that span a volume, or is
     evidently not in metres.
@@ -51,7 +51,7 @@ def read_triangles(path: Path) -> FloatArray:
         corners = vertices[faces]
         if not np.isfinite(corners).all():
             raise InvalidInputError("a corner of a triangle is not finite")
-        return _metres(data) * corners if kind == "dae" else corners
+        return collada_unit(data) * corners if kind == "dae" else corners
 
 
 def _as_utf8(data: bytes) -> bytes:
@@ -73,12 +73,3 @@ def _as_stl(data: bytes) -> bytes:
 
 CLEANED: Mapping[str, Callable[[bytes], bytes]] = {"stl": _as_stl, "obj": _as_utf8, "dae": bytes}
 """What is checked or repaired before the parser sees a file."""
-
-
-def _metres(data: bytes) -> float:
-    """The unit [m] that a COLLADA file states."""
-    unit = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
-    metres = 1.0 if unit is None else float(unit[1])
-    if not 0.0 < metres < np.inf:
-        raise InvalidInputError(f"its unit is {metres} m; give a positive one")
-    return metres

@@ -67,6 +67,20 @@ def test_files_without_a_robot_are_named(edited, refused, tmp_path, panda):
         refused(InvalidInputError, name, load_robot, urdf, "tool")
 
 
+def test_the_unit_of_a_collada_mesh_counts_before_the_scale_in_the_urdf(edited, refused, tmp_path):
+    data = trimesh.creation.box((20.0, 30.0, 40.0)).export(file_type="dae")
+    for unit in ("0.01", "0", "inch"):
+        (tmp_path / f"{unit}.dae").write_bytes(
+            data.replace(b"<up_axis>", b'<unit meter="%b"/><up_axis>' % unit.encode())
+        )
+    robot = load_robot(edited((SPHERE, '<mesh filename="0.01.dae" scale="0.5 0.5 -1"/>')), "tool")
+    sizes = [np.ptp(piece.vertices, axis=0) for piece in robot.links]
+    assert any(np.allclose(size, (0.1, 0.15, 0.4)) for size in sizes)
+    for unit in ("0", "inch"):
+        urdf = edited((SPHERE, f'<mesh filename="{unit}.dae"/>'))
+        refused(InvalidInputError, f"mesh '{unit}.dae': its unit is '{unit}' m", load_robot, urdf, "tool")
+
+
 def test_joints_off_the_chain_are_held_and_followers_follow(edited):
     """Fingers are no part of the plan: the first is held inside its limits, the second where it mimics that."""
     robot = load_robot(edited((END, FINGERS)), "tool")

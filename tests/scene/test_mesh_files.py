@@ -109,7 +109,7 @@ def test_collada_says_its_unit(tmp_path):
     (piece,) = read_mesh(tmp_path / "a.dae")
     np.testing.assert_allclose(np.ptp(piece, axis=0), (0.2, 0.3, 0.4))
     (tmp_path / "b.dae").write_bytes(data.replace(b"<up_axis>", b'<unit meter="-1"/><up_axis>'))
-    with pytest.raises(InvalidInputError, match=r"its unit is -1\.0 m"):
+    with pytest.raises(InvalidInputError, match=r"its unit is .*-1"):
         read_mesh(tmp_path / "b.dae")
 
 
