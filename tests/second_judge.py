@@ -1,0 +1,355 @@
+"""A second judge of paths that shares no code with cvqmpt_lab: triangles of the files, and fcl, state by state.
+
+It reads the problem's json, its URDF and their meshes itself, and walks a path in steps in which no point moves by more
+than `STEP`. Nothing is replaced by its hull: links and meshes are the triangles that the files hold, clouds are balls,
+maps are cubes. Round solids are inscribed polyhedra, so that every overlap it finds is one.
+"""
+
+import json
+import xml.etree.ElementTree as ElementTree
+from itertools import combinations, pairwise, product
+from typing import NamedTuple
+
+import fcl
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+STEP = 2e-4  # [m] that a point moves between neighbouring states, at most
+CONTACTS, CORNERS, STATES = 2000, 100, 5  # of a pair that overlaps, at which its depth is measured, at most
+SIDES = 96  # of cylinders
+WORLD = 0  # group of what does not move; group k is carried by joint k
+
+
+class Verdict(NamedTuple):
+    """The deepest overlap that was found."""
+
+    depth: float  # length [m] of the shortest move that ends it, or less; 0 where nothing overlaps
+    pair: tuple[str, str] = ("", "")
+    at: float = 0.0  # number of the state; 12.5 is half-way from state 12 to 13
+
+
+class Body:
+    """Triangles (f, 3, 3) [m] of a group of bodies that move together; their surface may be open, or cross itself."""
+
+    radius = 0.0
+
+    def __init__(self, name, group, triangles):
+        mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+        self.name, self.group = name, group
+        self.triangles, self.points = (
+            np.array(mesh.triangles),
+            np.array(mesh.vertices),
+        )  # equal corners are one
+        parts = trimesh.graph.connected_component_labels(mesh.edges, node_count=len(self.points))
+        self.one_of_each = self.points[np.unique(parts, return_index=True)[1]]  # a corner of each part
+        self.box = corners_around(self.points)
+        shape = fcl.BVHModel()
+        shape.beginModel(len(mesh.vertices), len(mesh.faces))
+        shape.addSubModel(mesh.vertices, mesh.faces)
+        shape.endModel()
+        self.object = fcl.CollisionObject(shape)
+
+    def placed(self, T):
+        self.object.setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
+        return self.object
+
+    def holds(self, points):
+        """Whether points (k, 3) are inside, by the winding number of the surface around them."""
+        found = ((points > self.box[0]) & (points < self.box[-1])).all(axis=1)
+        for k in np.flatnonzero(found):
+            a, b, c = np.moveaxis(self.triangles - points[k], 1, 0)
+            x, y, z = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+            below = x * y * z + (a * b).sum(1) * z + (b * c).sum(1) * x + (c * a).sum(1) * y
+            found[k] = abs(np.arctan2((a * np.cross(b, c)).sum(1), below).sum()) > np.pi
+        return found
+
+    def distances(self, points):
+        """Of points (k, 3) to the surface, (k,)."""
+        near = [
+            trimesh.triangles.closest_point(self.triangles, np.tile(p, (len(self.triangles), 1)))
+            for p in points
+        ]
+        return np.array([np.linalg.norm(x - p, axis=1).min() for x, p in zip(near, points, strict=True)])
+
+
+class Balls:
+    """Balls of one radius around points (k, 3) [m] that move together with a group."""
+
+    def __init__(self, name, group, points, radius):
+        self.name, self.group, self.points, self.radius = name, group, points, radius
+        self.one_of_each, self.tree = points, cKDTree(points)
+        self.box = corners_around(np.concatenate([points - radius, points + radius]))
+        self.objects = [fcl.CollisionObject(fcl.Sphere(radius), fcl.Transform(np.eye(3), p)) for p in points]
+        self.manager = fcl.DynamicAABBTreeCollisionManager()
+        self.manager.registerObjects(self.objects)
+        self.manager.setup()
+
+
+def corners_around(points):
+    """Of the box along the axes around points, (8, 3): the lowest first, the highest last."""
+    return np.array(list(product(*zip(points.min(axis=0), points.max(axis=0), strict=True))))
+
+
+def furthest(body, direction):
+    """The point (3,) of a body that is furthest along a unit direction."""
+    return body.points[(body.points @ direction).argmax()] + body.radius * direction
+
+
+def touching(a, b, T):
+    """Whether surfaces of a and b overlap; T (4, 4) is the pose of b in the frame of a."""
+    if isinstance(a, Balls) and isinstance(b, Balls):
+        return depth(a, b, T) > 0.0
+    if isinstance(b, Balls):
+        return touching(b, a, np.linalg.inv(T))
+    if isinstance(a, Body):
+        return (
+            fcl.collide(a.placed(np.eye(4)), b.placed(T), fcl.CollisionRequest(), fcl.CollisionResult()) > 0
+        )
+    data = fcl.CollisionData()
+    a.manager.collide(b.placed(T), data, fcl.defaultCollisionCallback)
+    return data.result.is_collision
+
+
+def swallowed(a, b, T):
+    """Whether a part of one is inside the other."""
+    if isinstance(a, Body) and a.holds(moved(T, b.one_of_each)).any():
+        return True
+    return isinstance(b, Body) and bool(b.holds(moved(np.linalg.inv(T), a.one_of_each)).any())
+
+
+def depth(a, b, T):
+    """Length [m] of the shortest move that ends the overlap of a and b, or less."""
+    if isinstance(a, Balls) and isinstance(b, Balls):
+        return a.radius + b.radius - a.tree.query(moved(T, b.points))[0].min()
+    if isinstance(a, Balls):
+        return depth(b, a, np.linalg.inv(T))
+    if isinstance(b, Balls):
+        centres = moved(T, b.points)
+        off = np.maximum(np.maximum(a.box[0] - centres, centres - a.box[-1]), 0.0)
+        centres = centres[np.linalg.norm(off, axis=1).argsort()[:CORNERS]]
+        return b.radius - (np.where(a.holds(centres), -1.0, 1.0) * a.distances(centres)).min()
+    deepest = [0.0]
+    for one, other, M in ((a, b, T), (b, a, np.linalg.inv(T))):
+        some = moved(
+            M, np.concatenate([other.points[:: 1 + len(other.points) // CORNERS], other.one_of_each])
+        )
+        deepest += list(one.distances(some[one.holds(some)]))
+    request, result = (
+        fcl.CollisionRequest(num_max_contacts=CONTACTS, enable_contact=True),
+        fcl.CollisionResult(),
+    )
+    if fcl.collide(a.placed(np.eye(4)), b.placed(T), request, result):
+        first, second = np.array([(contact.b1, contact.b2) for contact in result.contacts]).T
+        deepest.append(triangle_depths(a.triangles[first], moved(T, b.triangles[second])).max())
+    return max(deepest)
+
+
+def triangle_depths(first, second):
+    """Lengths (k,) of the shortest moves that part triangles (k, 3, 3) from others: least overlap along 11 axes."""
+    e, f = np.roll(first, -1, axis=1) - first, np.roll(second, -1, axis=1) - second
+    edges = np.cross(e[:, :, None], f[:, None]).reshape(len(e), 9, 3)
+    axes = np.concatenate([edges, np.cross(e[:, :1], e[:, 1:2]), np.cross(f[:, :1], f[:, 1:2])], axis=1)
+    lengths = np.linalg.norm(axes, axis=2)
+    x, y = np.einsum("kai,kci->kac", axes, first), np.einsum("kai,kci->kac", axes, second)
+    overlap = np.minimum(x.max(2) - y.min(2), y.max(2) - x.min(2))
+    usable = lengths > 1e-9 * lengths.max(axis=1, keepdims=True)
+    return np.where(usable, overlap / np.where(usable, lengths, 1.0), np.inf).min(axis=1)
+
+
+def moved(T, points):
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def body_of(item, group, T, folder):
+    """The body of an object or attachment in json, at T (4, 4) in its group."""
+    shape = item["shape"]
+    if shape["type"] == "point_cloud":
+        return Balls(item["name"], group, moved(T, np.array(shape["points"])), shape["radius"])
+    return Body(item["name"], group, moved(T, triangles_of(shape, folder)))
+
+
+def triangles_of(shape, folder):
+    """Triangles (f, 3, 3) of a shape in json; of a map, those of its cubes, made longer by the padding in turn."""
+    match shape["type"]:
+        case "box":
+            return trimesh.creation.box(shape["size"]).triangles
+        case "cylinder":
+            return trimesh.creation.cylinder(shape["radius"], shape["height"], sections=SIDES).triangles
+        case "sphere":
+            return trimesh.creation.icosphere(subdivisions=4, radius=shape["radius"]).triangles
+        case "convex_mesh":
+            return trimesh.convex.convex_hull(shape["vertices"]).triangles
+        case "mesh_file":
+            return trimesh.load(folder / shape["path"], force="mesh", process=False).triangles
+        case "occupancy_map":
+            edge, more = shape["resolution"], 2.0 * shape["padding"]
+            cubes = [trimesh.creation.box(size).triangles for size in edge + more * np.eye(3)]
+            middles = (np.array(shape["cells"]) + 0.5) * edge
+            return np.concatenate([cube + middle for middle in middles for cube in cubes])
+    raise ValueError(shape["type"])
+
+
+def link_triangles(geometry, folder):
+    """Triangles (f, 3, 3) of a <geometry> in a URDF of a folder."""
+    (shape,) = geometry
+    if shape.tag == "mesh":
+        name = shape.get("filename").removeprefix("package://")
+        path = next(above / name for above in (folder, *folder.parents) if (above / name).is_file())
+        return triangles_of({"type": "mesh_file", "path": path}, folder) * numbers(shape, "scale", "1 1 1")
+    size = {"size": numbers(shape, "size", ""), "height": float(shape.get("length", 0.0))}
+    return triangles_of({"type": shape.tag, "radius": float(shape.get("radius", 0.0)), **size}, folder)
+
+
+def numbers(element, key, otherwise):
+    return np.array(((None if element is None else element.get(key)) or otherwise).split(), dtype=float)
+
+
+def pose_of(element):
+    """T (4, 4) of an element's <origin>."""
+    T, origin = np.eye(4), element.find("origin")
+    T[:3, 3] = numbers(origin, "xyz", "0 0 0")
+    T[:3, :3] = Rotation.from_euler("xyz", numbers(origin, "rpy", "0 0 0")).as_matrix()
+    return T
+
+
+def motion(joint, value):
+    """T (..., 4, 4) of a joint at its value [rad or m] (...)."""
+    axis = numbers(joint.find("axis"), "xyz", "1 0 0")
+    along = np.asarray(value, dtype=float)[..., None] * axis / np.linalg.norm(axis)
+    T = np.tile(np.eye(4), (*along.shape[:-1], 1, 1))
+    if joint.get("type") == "prismatic":
+        T[..., :3, 3] = along
+    else:
+        T[..., :3, :3] = Rotation.from_rotvec(along).as_matrix()
+    return T
+
+
+def held_value(joint, locked, joints):
+    """Value of a joint that does not move: as the file says, as that of the joint it mimics, or nearest to 0."""
+    mimic, limit = joint.find("mimic"), joint.find("limit")
+    if joint.get("name") in locked:
+        return locked[joint.get("name")]
+    if mimic is not None:
+        value = held_value(joints[mimic.get("joint")], locked, joints)
+        return float(mimic.get("multiplier", 1.0)) * value + float(mimic.get("offset", 0.0))
+    free = joint.get("type") == "continuous" or limit is None
+    return 0.0 if free else min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
+
+
+class Arm:
+    """Groups of rigidly joined links, their joints and bodies, of the field "robot" of a problem in a folder."""
+
+    def __init__(self, robot, folder):
+        path = (folder / robot["urdf"]).resolve()
+        root, locked = ElementTree.parse(path).getroot(), robot.get("locked", {})
+        joints = {joint.get("name"): joint for joint in root.findall("joint")}
+        above = {joint.find("child").get("link"): joint for joint in joints.values()}
+        moving, link = [], robot["end_effector"]
+        while link in above:
+            if above[link].get("type") != "fixed" and above[link].get("name") not in locked:
+                moving.append(above[link])
+            link = above[link].find("parent").get("link")
+        self.joints = []  # of each group after the world: the group before it, T (4, 4), joint
+        links = {link: (WORLD, np.eye(4))}  # of each: its group, and T (4, 4) in it
+        waiting = list(joints.values())
+        while waiting:
+            joint = next(joint for joint in waiting if joint.find("parent").get("link") in links)
+            waiting.remove(joint)
+            group, T = links[joint.find("parent").get("link")]
+            if joint in moving:
+                self.joints.append((group, T @ pose_of(joint), joint))
+                group, T = len(self.joints), np.eye(4)
+            else:
+                T = T @ pose_of(joint)
+                T = (
+                    T
+                    if joint.get("type") == "fixed"
+                    else T @ motion(joint, held_value(joint, locked, joints))
+                )
+            links[joint.find("child").get("link")] = group, T
+        self.hand, self.bodies = links[robot["end_effector"]], []
+        for link in root.findall("link"):
+            (group, T), bodies = links[link.get("name")], link.findall("collision")
+            parts = [moved(T @ pose_of(x), link_triangles(x.find("geometry"), path.parent)) for x in bodies]
+            self.bodies += [Body(link.get("name"), group, np.concatenate(parts))] if parts else []
+        pairs = ElementTree.parse(folder / robot["srdf"]).iter("disable_collisions") if robot["srdf"] else ()
+        self.excused = {frozenset((pair.get("link1"), pair.get("link2"))) for pair in pairs}
+        names = {body.name for body in self.bodies}
+        for link in names & set(above):
+            before = above[link].find("parent").get("link")
+            while before in above and before not in names:
+                before = above[before].find("parent").get("link")
+            self.excused.add(frozenset((link, before)))  # the nearest one before it that has a body
+
+    def pairs(self, excused=()):
+        """Pairs of links that must not overlap: of different groups, not adjacent, nor excused by SRDF or name."""
+        skipped = self.excused | {frozenset(pair) for pair in excused}
+        every = combinations(self.bodies, 2)
+        return [(a, b) for a, b in every if a.group != b.group and {a.name, b.name} not in skipped]
+
+    def poses(self, states):
+        """Of all groups (groups, k, 4, 4) at states (k, n)."""
+        found = [np.tile(np.eye(4), (len(states), 1, 1))]
+        for (before, T, joint), values in zip(self.joints, states.T, strict=True):
+            found.append(found[before] @ T @ motion(joint, values))
+        return np.array(found)
+
+    def speeds(self, bodies, states):
+        """Bounds (n,) on how far a point of bodies moves with each coordinate [m/rad or m/m] between states (k, n)."""
+        outer, speeds = np.zeros(len(self.joints) + 1), np.ones(len(self.joints))
+        for body in bodies:
+            outer[body.group] = max(
+                outer[body.group], np.linalg.norm(body.points, axis=1).max() + body.radius
+            )
+        for k in range(len(self.joints), 0, -1):
+            before, T, joint = self.joints[k - 1]
+            slides = joint.get("type") == "prismatic"
+            speeds[k - 1] = 1.0 if slides else outer[k]
+            way = np.linalg.norm(T[:3, 3]) + slides * np.abs(states[:, k - 1]).max() + outer[k]
+            outer[before] = max(outer[before], way)
+        return speeds
+
+
+class Judge:
+    """The bodies of a problem file and the pairs of them that must not overlap."""
+
+    def __init__(self, path, arm, excused=()):
+        """arm: of the file's field "robot". excused: names of more pairs of links that may overlap."""
+        problem, (hand, T) = json.loads(path.read_text()), arm.hand
+        things, objects = problem["attachments"], problem["scene"]["objects"]
+        carried = [body_of(x, hand, T @ np.array(x["T_hand_object"]), path.parent) for x in things]
+        obstacles = [body_of(x, WORLD, np.array(x["T_world_object"]), path.parent) for x in objects]
+        self.arm, self.bodies = arm, [*arm.bodies, *carried, *obstacles]
+        self.moving = [body for body in (*arm.bodies, *carried) if body.group != WORLD]
+        in_hand = ((a, b) for a in arm.bodies for b in carried if a.group != hand)
+        self.pairs = [*arm.pairs(excused), *in_hand, *product(self.moving, obstacles)]
+
+    def walk(self, states):
+        """The deepest overlap on straight pieces between states (m, n)."""
+        speeds, worst = self.arm.speeds(self.moving, states), Verdict(0.0)
+        for k, (first, last) in enumerate(pairwise(states)):
+            shares = np.linspace(0.0, 1.0, int(np.ceil(speeds @ np.abs(last - first) / STEP)) + 1)
+            for share in np.array_split(shares, 1 + len(shares) // 500):
+                found = self.look(first + share[:, None] * (last - first))
+                worst = max(worst, found._replace(at=k + float(share[int(found.at)])))
+        return worst
+
+    def look(self, states):
+        """The deepest overlap at states (k, n), which are close to each other."""
+        poses, worst, boxes = self.arm.poses(states), Verdict(0.0), {}
+        for body in self.bodies:
+            T = poses[body.group]
+            corners = np.einsum("kij,cj->kci", T[:, :3, :3], body.box) + T[:, None, :3, 3]
+            boxes[body] = corners.min(axis=1), corners.max(axis=1)
+        for a, b in self.pairs:
+            (low, high), (least, most) = boxes[a], boxes[b]
+            near = np.flatnonzero(((low < most) & (least < high)).all(axis=1))
+            if len(near) == 0:
+                continue
+            T = np.linalg.inv(poses[a.group]) @ poses[b.group]
+            hits = [k for k in near if touching(a, b, T[k])] or [k for k in near[:1] if swallowed(a, b, T[k])]
+            for k in hits[:: 1 + len(hits) // STATES]:
+                worst = max(worst, Verdict(float(depth(a, b, T[k])), (a.name, b.name), k))
+        return worst
