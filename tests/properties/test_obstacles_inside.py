@@ -31,8 +31,8 @@ def solid(rng):
 
 
 def cloud(rng):
-    """A cloud of up to 3000 points within 10 km of each other, up to 1000 km from its origin, and one of the points."""
-    shift = rng.standard_normal(3) * 10.0 ** rng.uniform(-1.0, 6.0)
+    """A cloud of up to 3000 points within 10 km of each other, up to 860 km from its origin, and one of the points."""
+    shift = np.clip(rng.standard_normal(3) * 10.0 ** rng.uniform(-1.0, 6.0), -5e5, 5e5)
     wide = 10.0 ** rng.uniform(-1.0, 4.0)
     points = rng.uniform(-wide, wide, (rng.choice([1, 10, 1000, 1001, 3000]), 3)) + shift
     return PointCloud(points, 10.0 ** rng.uniform(-9.0, -1.5)), points[0]
