@@ -6,6 +6,7 @@ obstacles are coal's broad phases, one a link and one for the world, so that ten
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import coal
@@ -58,7 +59,6 @@ class _World(NamedTuple):
 
     phase: coal.DynamicAABBTreeCollisionManager
     objects: list[coal.CollisionObject]  # They must outlive the broad phase, which reads their boxes
-    boxes: np.ndarray  # (b, 2, 3), least and greatest corners [m]
 
 
 class CollisionChecker:
@@ -164,7 +164,7 @@ class CollisionChecker:
         request = self._callback.data.request
         request.security_margin = self._margin
         world = self._world(0.0)
-        for j, i in np.argwhere(_box_gaps(world.boxes, _boxes(self._moving)) <= self._margin):
+        for j, i in np.argwhere(_box_gaps(self._obstacle_boxes, _boxes(self._moving)) <= self._margin):
             if coal.collide(self._moving[i], world.objects[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
@@ -190,15 +190,21 @@ class CollisionChecker:
             k = pin.computeDistances(geometry, results)
             nearest = Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
         world = self._world(0.0)
-        gaps = _box_gaps(world.boxes, _boxes(self._moving))
-        close = np.argwhere(gaps <= max(nearest.distance, 0.0))
-        for j, i in close[gaps[*close.T].argsort(kind="stable")]:
-            if gaps[j, i] > max(nearest.distance, 0.0):
+        gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
+        close = np.flatnonzero(gaps <= max(nearest.distance, 0.0))
+        by_gap = close[gaps.flat[close].argsort(kind="stable")]
+        for k, gap in zip(by_gap.tolist(), gaps.flat[by_gap].tolist(), strict=True):
+            if gap > max(nearest.distance, 0.0):
                 break
+            j, i = divmod(k, len(self._moving))
             distance = _distance(self._moving[i], world.objects[j])
             if distance < nearest.distance:
                 nearest = Nearest(distance, CollidingPair(self._pieces[i], self._obstacles[j].name))
         return nearest
+
+    @cached_property
+    def _obstacle_boxes(self) -> np.ndarray:
+        return _boxes(self._world(0.0).objects)
 
     def _world(self, inflation: float) -> _World:
         """The obstacles in boxes that are inflated [m]."""
@@ -212,7 +218,7 @@ class CollisionChecker:
             phase = coal.DynamicAABBTreeCollisionManager()
             phase.registerObjects(objects)
             phase.setup()
-            self._worlds[inflation] = _World(phase, objects, _boxes(objects))
+            self._worlds[inflation] = _World(phase, objects)
         return self._worlds[inflation]
 
     def _meets_obstacle(self, margins: np.ndarray) -> bool:
@@ -255,9 +261,9 @@ def _boxes(objects: Sequence[coal.CollisionObject]) -> np.ndarray:
 
 def _box_gaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Distances (a, b) [m] between boxes (a, 2, 3) and (b, 2, 3)."""
-    apart = np.maximum(first[:, None, 0] - second[:, 1], second[:, 0] - first[:, None, 1])
-    apart = np.maximum(apart, 0.0)
-    return np.sqrt(np.einsum("abi,abi->ab", apart, apart))
+    (low, high), (least, most) = first.transpose(1, 2, 0)[..., None], second.transpose(1, 2, 0)[:, :, None]
+    apart = np.maximum(np.maximum(low - most, least - high), 0.0)
+    return np.sqrt(np.einsum("iab,iab->ab", apart, apart))
 
 
 def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
