@@ -112,9 +112,12 @@ def denormal(rng):
     return replace(made, constraint=(plane,), goals=goal[:0], goal_region=near)
 
 
+EXTREME = "extreme numbers end in a certified path or in no path, within the budget"
+
+
 def extreme(what, make, solved, planners=("birrt",), budget=None, ci=1, long=100):
     """solved: whether there is a path to be found, or None where either may be."""
-    mark = pytest.mark.promise(f"extreme numbers: {what}", "plans", ci=ci, long=long)
+    mark = pytest.mark.promise(EXTREME, "plans", ci=ci, long=long)
     return pytest.param(make, solved, planners, budget or Budget(iterations=3000), marks=mark, id=what)
 
 

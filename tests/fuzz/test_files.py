@@ -16,7 +16,10 @@ AT_ONCE = 1000  # files that hypothesis draws before it forgets those it has dra
 
 def promised(reader):
     mark = pytest.mark.promise(
-        f"hostile {reader.kind}", "files", ci=4 if reader.seconds > 1 else 20, long=reader.long
+        "hostile files of every kind end in a result or one line",
+        "files",
+        ci=4 if reader.seconds > 1 else 20,
+        long=reader.long,
     )
     return pytest.param(reader, marks=mark, id=f"{reader.kind}: {reader.file}")
 

@@ -32,7 +32,9 @@ def rows_of(out, suite, problems, planners, iterations, run=run, jobs=1, **envir
 
 
 def repeated(what, suite, planners, iterations, ci, long):
-    mark = pytest.mark.promise(f"rows repeat: {what}", "problems", ci=ci, long=long)
+    mark = pytest.mark.promise(
+        "rows repeat: in two workers, three threads, with another hash seed", "problems", ci=ci, long=long
+    )
     return pytest.param(suite, planners, iterations, marks=mark, id=what)
 
 
