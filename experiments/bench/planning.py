@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import trimesh
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -13,6 +14,7 @@ from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.scene.convex import convex_pieces
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search import birrt as kernels
 from cvqmpt_lab.search.birrt import BiRRT
@@ -162,6 +164,18 @@ def _solved_in_worker(name: str, environments: list[int]) -> tuple[int, float, f
     return sum(one.solved for one in solutions), time.perf_counter() - wall, time.process_time() - cpu
 
 
+def bench_meshes() -> Iterator[Measurement]:
+    """Cutting meshes into convex pieces: a torus, a wavy ball, and one with a hole."""
+    ball = trimesh.creation.icosphere(5)
+    wavy = np.array(ball.triangles)
+    wavy[:, :, 0] *= 1.0 + 0.5 * np.cos(9.0 * wavy[:, :, 1])
+    torus = np.array(trimesh.creation.torus(0.5, 0.2, major_sections=128, minor_sections=64).triangles)
+    open_ball = wavy[ball.triangles_center[:, 2] < 0.9]
+    for name, triangles in (("torus", torus), ("closed ball", wavy), ("open ball", open_ball)):
+        label = f"{name} of {len(triangles)} faces into {len(convex_pieces(triangles))} convex pieces"
+        yield Measurement(label, "s", partial(convex_pieces, triangles))
+
+
 def bench_unconstrained(problems: int) -> Iterator[Measurement]:
     """Free paths among random cubes and spheres: the first one, the shortened one, and how far from the best."""
     first, total, above_same, above_best = [], [], [], []
@@ -228,6 +242,7 @@ BENCHES: Mapping[str, Callable[[int, int], Iterable[Measurement]]] = {
     "calibration": lambda problems, states: bench_calibration(panda(), problems),
     "unconstrained": lambda problems, states: bench_unconstrained(problems),
     "scan": lambda problems, states: bench_scan(),
+    "meshes": lambda problems, states: bench_meshes(),
 }
 """What is measured, by name; of so many problems or scenes, and states."""
 
