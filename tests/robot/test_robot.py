@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from numba import njit
 
-from cvqmpt_lab.collision.exact import Sweep
+from cvqmpt_lab.collision.motion_bounds import Sweep
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
