@@ -181,7 +181,8 @@ class Piece:
             largest = [at[k] for k in np.argsort(-size)[:FACE_CUTS] if size[k] > LEAST_FACE * area.sum()]
             beside = [face + side * NUDGE * length[axis] for face in largest for side in (-1.0, 1.0)]
             evenly = low[axis] + length[axis] * np.arange(1, EVEN_CUTS + 1) / (EVEN_CUTS + 1)
-            yield from ((int(axis), float(cut)) for cut in (*beside, *evenly))
+            inside = (cut for cut in (*beside, *evenly) if self.low[axis] < cut < self.high[axis])
+            yield from ((int(axis), float(cut)) for cut in inside)
 
 
 def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
