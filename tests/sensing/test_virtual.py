@@ -53,7 +53,7 @@ CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),
     [
         (lambda: CameraSettings(voxel=0.0), "voxel of 0.0 m"),
         (lambda: CameraSettings(points=0), "cloud of 0 points"),
-        (lambda: Observer(scenes=0), "at least 1"),
+        (lambda: Observer(scenes=0), "of 1 or more"),
         (lambda: CameraSettings(noise=-0.1), "noise of -0.1 m"),
         (lambda: camera_cloud(CLOUD, CameraSettings(), np.random.default_rng(0)), "'scan', a PointCloud"),
     ],
