@@ -61,6 +61,18 @@ def test_large_meshes_are_covered_by_few_pieces(share):
     assert farthest_outside(spread_points(triangles, 4000), [ConvexHull(piece) for piece in pieces]) < 1e-7
 
 
+def test_a_bracket_is_cut_although_a_cut_can_leave_nothing_on_one_side():
+    """Its outline in x and y, from z = 0 to 0.29108."""
+    outline = [(0.16093, 0.02), (0.16093, 0), (0, 0), (0.02, 0.02), (0.02, 0.17268), (0, 0.17268)]
+    corners = np.array([(*at, z) for z in (0.0, 0.29108) for at in outline])
+    bottom = np.array([(0, 1, 2), (3, 0, 2), (4, 3, 2), (5, 4, 2)])
+    k, after = np.arange(6), np.array([1, 2, 5, 0, 3, 4])  # around the outline
+    sides = np.concatenate([np.stack([k, after + 6, after], 1), np.stack([k, k + 6, after + 6], 1)])
+    triangles = corners[np.concatenate([bottom, bottom[:, ::-1] + 6, sides])]
+    hulls = [ConvexHull(piece) for piece in convex_pieces(triangles)]
+    assert farthest_outside(spread_points(triangles, 2000), hulls) < 1e-7
+
+
 @pytest.mark.parametrize("corners", [(0, 0, 0), (0, 1, 1), (0, 1, 2)], ids=["point", "edge", "line"])
 @pytest.mark.parametrize("mesh", [box((0.2, 0.3, 0.4)), table()], ids=["box", "table"])
 def test_triangles_without_area_change_nothing(mesh, corners):
