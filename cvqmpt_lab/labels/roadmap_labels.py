@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import SceneRecipe, Shard
 from cvqmpt_lab.labels.path_labels import (
@@ -18,6 +19,7 @@ from cvqmpt_lab.labels.path_labels import (
     scene_shapes,
     unconstrained_space,
 )
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
@@ -32,6 +34,7 @@ from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
 LINKS = 20  # nodes that each is linked to
 MARGIN = 0.002  # [m] that free motions keep from obstacles
+BODY_POINTS = 16
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
 
 
@@ -124,7 +127,28 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     checked = verdicts(space, roadmap.nodes, edges)
     assert checked is not None  # nothing is near
     own_node, own_edge = checked
-    return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge)
+    return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge, *body_points(robot))
+
+
+def body_points(robot: Robot, count: int = BODY_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Points that stand for the arm's body: the joint that moves each (k,), and where in its frame (k, 3) [m].
+
+    They are centres of balls that cover the links, far from each other in most configurations.
+    """
+    geometry = robot_arrays(robot)
+    rows = np.repeat(geometry.body_link, geometry.body_end - geometry.body_start)
+    used = (geometry.leaf >= 0) & (rows > 0)
+    rows, offsets = rows[used], geometry.sphere[used, :3]
+    states = robot.random_configurations(np.random.default_rng(0), 64)
+    rotations, translations = link_poses(robot.kinematics, states)
+    places = np.einsum("skij,kj->ski", rotations[:, rows], offsets) + translations[:, rows]
+    chosen, away = [len(rows) - 1], np.full(len(rows), np.inf)
+    while len(chosen) < min(count, len(rows)):
+        apart = np.linalg.norm(places - places[:, chosen[-1:]], axis=2).mean(axis=0)
+        away = np.minimum(away, apart)
+        chosen.append(int(away.argmax()))
+    chosen.sort()
+    return rows[chosen] - 1, offsets[chosen]
 
 
 def verdicts(

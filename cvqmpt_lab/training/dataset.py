@@ -179,6 +179,20 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
     InvalidInputError names the file that is missing, damaged or of another schema.
     """
     folder = Path(folder)
+    robot, families, chain = read_dataset_description(folder)
+    joints = len(robot.lower)
+    if (folder / ROADMAP_FILE).exists():
+        shards = [_path_arrays(shard, robot) for shard in read_roadmap_shards(folder)]
+    else:
+        shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
+    digest = hashlib.sha256(
+        read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)
+    ).hexdigest()
+    return PathDataset(folder, robot, families, chain, digest, together_scenes(shards), _paths(shards))
+
+
+def read_dataset_description(folder: Path) -> tuple[RobotSignature, tuple[str, ...], SerialChain | None]:
+    """Robot, families and kinematics of a dataset; InvalidInputError where its description is missing or malformed."""
     path = folder / DESCRIPTION_FILE
     if not path.exists():
         raise InvalidInputError(
@@ -198,12 +212,7 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
         chain = from_plain(SerialChain, description["kinematics"], f"{path}: kinematics")
         if len(chain.rotation) != joints:
             raise InvalidInputError(f"{path}: kinematics has {len(chain.rotation)} joints, lower {joints}")
-    if (folder / ROADMAP_FILE).exists():
-        shards = [_path_arrays(shard, robot) for shard in read_roadmap_shards(folder)]
-    else:
-        shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
-    digest = hashlib.sha256(read_bytes(path) + read_bytes(folder / INDEX_FILE)).hexdigest()
-    return PathDataset(folder, robot, families, chain, digest, _scenes(shards), _paths(shards))
+    return robot, families, chain
 
 
 def _robot(description: Mapping[str, Any], path: Path) -> RobotSignature:
@@ -213,31 +222,32 @@ def _robot(description: Mapping[str, Any], path: Path) -> RobotSignature:
     return from_plain(RobotSignature, named, f"{path}: ")
 
 
-def _scenes(shards: list[dict[str, np.ndarray]]) -> Scenes:
+def together_scenes(shards: list[dict[str, np.ndarray]]) -> Scenes:
     """All scenes, rows counted through."""
-    size, pose = (_together(shards, name).astype(np.float32) for name in ("shape_size", "shape_pose"))
+    size, pose = (together(shards, name).astype(np.float32) for name in ("shape_size", "shape_pose"))
     return Scenes(
-        family=_together(shards, "family"),
-        seed=_together(shards, "scene_seed"),
-        shape_start=_ranges(shards, "shape_start", "shape_kind"),
-        shape=Shapes(_together(shards, "shape_kind"), size, pose),
+        family=together(shards, "family"),
+        seed=together(shards, "scene_seed"),
+        shape_start=together_ranges(shards, "shape_start", "shape_kind"),
+        shape=Shapes(together(shards, "shape_kind"), size, pose),
     )
 
 
 def _paths(shards: list[dict[str, np.ndarray]]) -> Paths:
     """All paths, rows counted through."""
     return Paths(
-        scene=_shifted(shards, "path_scene", "scene_seed"),
-        start=_ranges(shards, "path_start", "waypoints"),
-        waypoints=_together(shards, "waypoints"),
-        trivial=_together(shards, "trivial").astype(bool),
-        twin_of=_shifted(shards, "twin_of", "path_scene"),
-        length=_together(shards, "length"),
-        straight=_together(shards, "straight"),
+        scene=together_rows(shards, "path_scene", "scene_seed"),
+        start=together_ranges(shards, "path_start", "waypoints"),
+        waypoints=together(shards, "waypoints"),
+        trivial=together(shards, "trivial").astype(bool),
+        twin_of=together_rows(shards, "twin_of", "path_scene"),
+        length=together(shards, "length"),
+        straight=together(shards, "straight"),
     )
 
 
-def _together(shards: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
+def together(shards: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
+    """An array of all shards."""
     return np.concatenate([shard[name] for shard in shards])
 
 
@@ -246,13 +256,13 @@ def _offsets(shards: list[dict[str, np.ndarray]], items: str) -> list[int]:
     return np.cumsum([0, *(len(shard[items]) for shard in shards)]).tolist()
 
 
-def _shifted(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
+def together_rows(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
     """Rows of items, counted through; -1 stays."""
     parts = zip(shards, _offsets(shards, items), strict=False)
     return np.concatenate([np.where(s[name] < 0, -1, s[name].astype(np.int64) + o) for s, o in parts])
 
 
-def _ranges(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
+def together_ranges(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
     """Where each range of items begins, and where the last ends."""
     offsets = _offsets(shards, items)
     starts = [s[name][:-1].astype(np.int64) + o for s, o in zip(shards, offsets, strict=False)]

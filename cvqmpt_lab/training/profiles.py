@@ -1,23 +1,26 @@
 """Named trainings as plain tables: model and settings of every stage."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.training.batches import SceneBatchSettings
-from cvqmpt_lab.training.dataset import PathDataset
+from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
+from cvqmpt_lab.training.roadmap_dataset import open_roadmap_dataset
 from cvqmpt_lab.training.stage1 import Stage1, Stage1Settings
 from cvqmpt_lab.training.stage2 import Stage2, Stage2Settings
 from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
 from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings
+from cvqmpt_lab.training.transformer_stage import TransformerSettings, TransformerStage
 from cvqmpt_lab.vqmpt import config as sizes
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint
-from cvqmpt_lab.vqmpt.weights import checkpoint_folder
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, checkpoint_folder, resolve_model
 
-MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model"}  # what each stage trains
+MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model", "transformer": "transformer_model"}
+"""What each stage trains."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +34,8 @@ class Profile:
     stage1: Stage1Settings
     stage2: Stage2Settings | None  # None where the model is of a kind without a sequence model
     mpnet: MPNetSettings
+    transformer_model: sizes.SceneTransformerSizes = field(default_factory=sizes.SceneTransformerSizes)
+    transformer: TransformerSettings = field(default_factory=TransformerSettings)
 
     def __post_init__(self) -> None:
         if (self.stage2 is None) != (self.model.sequence is None):
@@ -49,16 +54,27 @@ class Profile:
         return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)
 
     def stage(
-        self, name: str, dataset: PathDataset, dictionary: Path | None, seed: int, device: torch.device
+        self,
+        name: str,
+        data: Path,
+        dictionary: Path | None,
+        seed: int,
+        device: torch.device,
+        verify: bool = True,
     ) -> Stage:
-        """A stage, ready to be trained on a dataset; dictionary: folder of stage 1, for stage 2.
+        """A stage, ready to be trained on a folder of data; dictionary: folder of stage 1. verify: compare checksums.
 
-        InvalidInputError or UnknownChoiceError: no such stage, or dataset, dictionary and model do not fit each other.
+        InvalidInputError or UnknownChoiceError: no such stage, or data, dictionary and model do not fit each other.
         """
         if name not in MODELS:
             raise UnknownChoiceError("stage", name, MODELS)
-        if dictionary is not None and name != "stage2":
+        if dictionary is not None and name not in ("stage2", "transformer"):
             raise InvalidInputError(f"{name} takes no dictionary; leave it out")
+        if name == "transformer":
+            words = load_checkpoint(resolve_model(dictionary, VQ_MPT))
+            labels = open_roadmap_dataset(data)
+            return TransformerStage(labels, words, self.transformer, self.transformer_model, seed, device)
+        dataset = open_dataset(data, verify=verify)
         if name == "stage1":
             return Stage1(dataset, self.model_for(dataset), self.stage1, seed, device)
         if name == "mpnet":

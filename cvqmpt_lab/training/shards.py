@@ -17,7 +17,7 @@ As ``cvqmpt data generate`` writes them; s scenes, m shapes, p paths, n joints, 
 With ``--labels roadmap``::
 
     roadmap.npz      nodes (N,n) float64 [rad], edges (E,2) int32, node_possible (N,) and edge_possible (E,) bool: free
-                     in an empty scene
+                     in an empty scene; body_joint (k,) int64 and body_offset (k,3) float64 [m]: points of the arm
     shards/NNNNNN.npz
         family, scene_seed, shape_start, shape_kind, shape_size, shape_pose: as above
         node_free (s,N/8) and edge_free (s,E/8) uint8: packed bits
@@ -209,6 +209,10 @@ class RoadmapGraph:
     edges: np.ndarray  # (E, 2) int32, each pair once
     node_possible: np.ndarray  # (N,) bool: free in an empty scene
     edge_possible: np.ndarray  # (E,) bool, likewise
+    body_joint: (
+        np.ndarray
+    )  # (k,) int64, joint that moves each body point, see `labels.roadmap_labels.body_points`
+    body_offset: np.ndarray  # (k, 3) [m], where each is in that joint's frame
 
     @property
     def digest(self) -> str:

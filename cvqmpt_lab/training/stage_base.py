@@ -60,19 +60,9 @@ class Stage(ABC):
     many_processes: ClassVar[bool] = False  # whether steps depend on gradients alone
     module: nn.Module  # what the optimizer changes and the state keeps
 
-    def __init__(
-        self,
-        dataset: PathDataset,
-        spacing: float | None,
-        turn_base: bool,
-        optimizer: OptimizerSettings,
-        seed: int,
-        device: torch.device,
-    ) -> None:
-        """Prepare to train on waypoints `spacing` [rad] apart; InvalidInputError without paths of both splits."""
-        dataset.require_splits()
-        self.dataset = dataset.thinned(spacing)
-        self.turn = BaseTurn(self.dataset, turn_base)
+    dataset: Any  # PathDataset or RoadmapDataset
+
+    def __init__(self, optimizer: OptimizerSettings, seed: int, device: torch.device) -> None:
         self.optimizer, self.seed, self.device = optimizer, seed, device
         torch.manual_seed(seed)
 
@@ -99,7 +89,28 @@ class Stage(ABC):
         """The model as it stands, to be saved."""
 
 
-class SceneStage(Stage):
+class PathStage(Stage):
+    """A training on paths."""
+
+    dataset: PathDataset
+
+    def __init__(
+        self,
+        dataset: PathDataset,
+        spacing: float | None,
+        turn_base: bool,
+        optimizer: OptimizerSettings,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        """Prepare to train on waypoints `spacing` [rad] apart; InvalidInputError without paths of both splits."""
+        super().__init__(optimizer, seed, device)
+        dataset.require_splits()
+        self.dataset = dataset.thinned(spacing)
+        self.turn = BaseTurn(self.dataset, turn_base)
+
+
+class SceneStage(PathStage):
     """A training on paths with the clouds of their scenes."""
 
     many_processes = True

@@ -44,7 +44,6 @@ from cvqmpt_lab.files import (
     write_text,
 )
 from cvqmpt_lab.training.batches import batch_seed
-from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import MODELS, Profile
 from cvqmpt_lab.training.stage_base import Stage
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
@@ -92,8 +91,8 @@ def run_training(
     """
     seed = whole_number("seed", seed)
     rank, count = joined_processes()
-    dataset = open_dataset(data, verify=verify)
-    made = profile.stage(stage, dataset, dictionary, seed, _device(device))
+    made = profile.stage(stage, data, dictionary, seed, _device(device), verify)
+    dataset = made.dataset
     if count > 1 and not made.many_processes:
         raise InvalidInputError(f"{stage} is trained by one process, not {count}; leave torchrun out")
     plain = to_plain(profile, complete=True)

@@ -13,6 +13,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.mpnet import MPNet
+from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, RobotSignature, StoredModel, read_model, write_model
 
@@ -32,12 +33,17 @@ class Checkpoint:
     robot: RobotSignature
     dictionary: Dictionary
     sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
+    transformer: SceneTransformer | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
 
     @property
     def parts(self) -> dict[str, nn.Module]:
         """Modules by the name of their weights file."""
-        parts = {"dictionary": self.dictionary, "sequence_model": self.sequence_model}
+        parts = {
+            "dictionary": self.dictionary,
+            "sequence_model": self.sequence_model,
+            "transformer": self.transformer,
+        }
         return {name: module for name, module in parts.items() if module is not None}
 
 
@@ -91,6 +97,7 @@ def as_modules(model: StoredModel) -> Checkpoint:
     builders: dict[str, Callable[[], nn.Module]] = {
         "dictionary": lambda: Dictionary(model.config),
         "sequence_model": lambda: PublishedSequenceModel(model.config),
+        "transformer": lambda: SceneTransformer(model.config.transformer),
     }
     modules: dict[str, Any] = {
         name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)

@@ -124,6 +124,7 @@ class ModelConfig:
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
     point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)  # None in a compact model
     sequence: SequenceConfig | None = field(default_factory=SequenceConfig)  # None in a compact model
+    transformer: "SceneTransformerConfig | None" = None  # of a compact model's sequence model, if it has one
 
     def __post_init__(self) -> None:
         require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
@@ -278,3 +279,52 @@ class SerialChain:
             return False
         on_axis = np.abs(self.translation[0, :2]).max() < 1e-6
         return bool(on_axis and np.allclose(self.rotation[0, :, 2], (0.0, 0.0, 1.0), atol=1e-6))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneTransformerSizes:
+    """Sizes of `scene_transformer.SceneTransformer`; defaults are those of the weights that ship."""
+
+    width: int = 128
+    layers: int = 3  # of the causal transformer
+    heads: int = 4
+    groups: int = 128  # scene tokens
+    group_size: int = 32  # points that each is made of
+    values: int = 8  # that a body point reads from the tokens
+    edge_width: int = 64
+    links: int = 20  # codes near a start or goal that it is linked to
+    stride: int = 4  # every so many-th code is a landmark that sequences attend to
+
+    def __post_init__(self) -> None:
+        require_sizes(**{name: getattr(self, name) for name in self.__annotations__ if name != "layers"})
+        if not 1 <= self.layers <= MOST_LAYERS:
+            raise InvalidInputError(f"layers is {shown(self.layers)}; give 1 to {MOST_LAYERS}")
+        if self.width % 8 or self.width % self.heads:
+            raise InvalidInputError(f"width {self.width} must be divisible by 8 and by heads, {self.heads}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneTransformerConfig:
+    """Sizes of a scene transformer, and what its buffers and kinematics are for."""
+
+    lower: tuple[float, ...]  # (n,) joint limits [rad or m]
+    upper: tuple[float, ...]  # (n,)
+    body: SerialChain  # kinematics, and the body points that look at the scene
+    n_nodes: int  # codes of the dictionary, a node of the roadmap each
+    n_edges: int
+    sizes: SceneTransformerSizes = field(default_factory=SceneTransformerSizes)
+
+    def __post_init__(self) -> None:
+        require_sizes(n_nodes=self.n_nodes, n_edges=self.n_edges)
+        if self.sizes.links > self.n_nodes:
+            raise InvalidInputError(f"links is {self.sizes.links}; give at most n_nodes, {self.n_nodes}")
+
+    @property
+    def joint_dim(self) -> int:
+        """Number of joints n."""
+        return len(self.lower)
+
+    @property
+    def features(self) -> int:
+        """Numbers that a configuration is given by."""
+        return 3 * self.joint_dim + self.body.feature_dim

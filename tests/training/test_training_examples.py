@@ -18,10 +18,10 @@ from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
 from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, grouped_by_scene, turned
 from cvqmpt_lab.training.dataset import Shapes, open_dataset
-from cvqmpt_lab.training.stage1 import LinkPositions
 from cvqmpt_lab.training.stage2 import code_sequences
 from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, measured_points, sample_cloud
 from cvqmpt_lab.vqmpt.config import SerialChain
+from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
 

@@ -1,0 +1,367 @@
+"""The sequence model that ships: a causal transformer over codes that have looked at the scene.
+
+A point cloud becomes scene tokens. Start q_s, goal q_g and the node q_i of every code look at them: each body point
+p_k(q) of the arm attends to the tokens c_j near it (geometric attention),
+
+    w_kj = softmax_j(beta_k (2 p_k . c_j - |c_j|^2) + b_k(token_j)),     sum_j w_kj (v_j + V_j p_k),
+
+so that their embeddings e_i know what is near the arm. From these come P(code free) and P(edge free) of the
+dictionary's roadmap, and the cost to go V_i to the goal: that of the cheapest way over its edges, where an edge costs
+length - w log P(edge free). A causal transformer over goal, start and codes so far gives (paper, eqn. ar_prob)
+
+    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = softmax_i(t_j . k(e_i) - g_j A_i + way_i),
+    A_i = cost(h_(j-1), i) + V_i - V_(h_(j-1)) >= 0,
+
+a pointer to the codes: their embeddings are its vocabulary. way_i is 0 where no edge leads to i. The class N is the
+goal, which ends a sequence.
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from cvqmpt_lab.vqmpt.config import SceneTransformerConfig
+from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+
+SHARPNESS = 60.0  # beta at first [1 / m^2]
+WAVES = 5  # of the code of a position
+RISK = 3.0  # w, what -log P(free) costs [rad]
+ROUNDS = 14  # of the cost to go: edges of the longest way
+UNREACHED = 30.0  # [rad] cost to go where there is no way
+WORST = 10.0  # [rad] most that A counts
+LONGEST = 13  # codes of a sequence
+
+
+class Scenes(NamedTuple):
+    """What is known of s scenes, whatever start and goal."""
+
+    tokens: Tensor  # (s, t, d)
+    centres: Tensor  # (s, t, 3) [m]
+    codes: Tensor  # (s, N, d), embeddings that have looked
+    keys: Tensor  # (s, N, d), what pointers are compared with
+    parts: Tensor  # (s, N, e), what edges are judged by
+    node_odds: Tensor  # (s, N), log odds of P(code free)
+    edge_odds: Tensor  # (s, E), log odds of P(edge free)
+
+
+class Ends(NamedTuple):
+    """Starts or goals (s, u): their embeddings, and the codes near them."""
+
+    seen: Tensor  # (s, u, d)
+    near: Tensor  # (s, u, l) int64
+    cost: Tensor  # (s, u, l), length - w log P(free) of the motion to each [rad]
+
+
+class Graph(NamedTuple):
+    """The roadmap as tables."""
+
+    positions: Tensor  # (N, k, 3), body points of the nodes [m]
+    features: Tensor  # (N, f)
+    neighbour: Tensor  # (N, w) int64, padded with the node itself
+    edge: Tensor  # (N, w) int64, the edge to each neighbour
+    padding: Tensor  # (N, w), inf where there is none, else 0
+    length: Tensor  # (E,) [rad]
+
+
+class Block(nn.Module):
+    """Attention and a feed-forward block, both normalised first; with `context`, attention to that."""
+
+    def __init__(self, width: int, heads: int, inner: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm, self.context_norm, self.inner_norm = (nn.LayerNorm(width) for _ in range(3))
+        self.query, self.key_value = nn.Linear(width, width), nn.Linear(width, 2 * width)
+        self.out = nn.Linear(width, width)
+        self.first, self.second = nn.Linear(width, inner), nn.Linear(inner, width)
+
+    def forward(self, x: Tensor, context: Tensor | None = None, causal: bool = False) -> Tensor:
+        """Map x (b, t, d), given context (b, m, d), to its shape."""
+        y = self.norm(x)
+        seen = y if context is None else self.context_norm(context)
+        q = self.query(y).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        k, v = self.key_value(seen).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        if causal:  # sequences of some ten tokens: plain products are faster than the fused kernel
+            scores = q @ k.transpose(2, 3) * q.shape[-1] ** -0.5
+            mask = torch.ones(q.shape[2], q.shape[2], dtype=torch.bool, device=x.device).triu(1)
+            heads = scores.masked_fill(mask, -torch.inf).softmax(-1) @ v
+        else:
+            heads = F.scaled_dot_product_attention(q, k, v)
+        x = x + self.out(heads.transpose(1, 2).flatten(2))
+        return x + self.second(F.gelu(self.first(self.inner_norm(x)), approximate="tanh"))
+
+
+class SceneEncoder(nn.Module):
+    """Set abstraction: groups of points to tokens, which then attend to each other."""
+
+    waves: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.points = nn.Sequential(
+            nn.Linear(3, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 128)
+        )
+        self.join = nn.Linear(128 + 3 + 6 * WAVES, width)
+        self.block, self.norm = Block(width, 8, 4 * width), nn.LayerNorm(width)
+        self.register_buffer("waves", torch.pi * 2.0 ** torch.arange(WAVES), persistent=False)
+
+    def forward(self, centres: Tensor, offsets: Tensor) -> Tensor:
+        """Map centres (s, t, 3) and the points around each (s, t, m, 3), relative to it [m], to tokens (s, t, d)."""
+        shape = self.points(offsets * 5.0).amax(2)
+        angle = (centres[..., None] * self.waves).flatten(2)
+        return self.norm(self.block(self.join(torch.cat((shape, centres, angle.sin(), angle.cos()), -1))))
+
+
+class GeometricAttention(nn.Module):
+    """Embeds configurations by what is near their body points."""
+
+    def __init__(self, config: SceneTransformerConfig) -> None:
+        super().__init__()
+        points, width, values = len(config.body.points), config.sizes.width, config.sizes.values
+        self.values = values
+        self.embed = nn.Sequential(
+            nn.Linear(config.features, 2 * width), nn.GELU(approximate="tanh"), nn.Linear(2 * width, width)
+        )
+        self.own_norm, self.norm = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.value, self.bias = nn.Linear(width, 4 * values), nn.Linear(width, points)
+        self.sharpness = nn.Parameter(torch.full((points,), SHARPNESS).log())
+        self.mix = nn.Sequential(
+            nn.Linear(points * (values + 1) + width, 2 * width),
+            nn.GELU(approximate="tanh"),
+            nn.Linear(2 * width, width),
+        )
+
+    def forward(
+        self, features: Tensor, positions: Tensor, tokens: Tensor, centres: Tensor, own: Tensor | None = None
+    ) -> Tensor:
+        """Look at scenes (s, ...) from configurations: features (s or 1, u, f), positions (s or 1, u, k, 3).
+
+        own: (u, d) added to embeddings of configurations that are always the same. Returns (s, u, d).
+        """
+        s, u, m = len(tokens), features.shape[1], self.values
+        x = self.embed(features)
+        if own is not None:
+            x = x + own
+        with torch.autocast(tokens.device.type, enabled=False):
+            tokens = tokens.float()
+            squared = (centres**2).sum(-1, keepdim=True)
+            value = torch.cat((self.value(tokens), squared, -2.0 * centres), -1)  # all affine in the point
+            points = positions.float().transpose(1, 2).expand(s, -1, -1, -1)  # (s, k, u, 3)
+            beta = self.sharpness.exp()[:, None, None]
+            q = torch.cat((2.0 * beta * points, torch.ones_like(points[..., :1])), -1)
+            bias = self.bias(tokens).transpose(1, 2)[..., None] - beta * squared[:, None]
+            k = torch.cat((centres[:, None].expand(-1, len(beta), -1, -1), bias), -1)
+            read = (q @ k.transpose(2, 3)).softmax(-1) @ value[:, None]  # (s, k, u, 4 m + 4)
+            affine = read[..., : 4 * m].unflatten(-1, (4, m))
+            near = affine[..., 0, :] + (affine[..., 1:, :] * points[..., None]).sum(-2)
+            away = read[..., 4 * m] + (read[..., 4 * m + 1 :] * points).sum(-1) + (points**2).sum(-1)
+            away = 5.0 * (away.clamp(min=0.0) + 1e-4).sqrt()
+            looked = torch.cat((near, away[..., None]), -1).transpose(1, 2).reshape(s, u, -1)
+        x = x.expand(s, -1, -1)
+        return self.norm(x + self.mix(torch.cat((looked.to(x.dtype), self.own_norm(x)), -1)))
+
+
+class SceneTransformer(nn.Module):
+    """The sequence model; see the top of this file."""
+
+    nodes: Tensor
+    edges: Tensor
+
+    def __init__(self, config: SceneTransformerConfig) -> None:
+        super().__init__()
+        self.config, d, e = config, config.sizes.width, config.sizes.edge_width
+        self.register_buffer("nodes", torch.zeros(config.n_nodes, config.joint_dim))
+        self.register_buffer("edges", torch.zeros(config.n_edges, 2, dtype=torch.int64))
+        self.scene, self.look = SceneEncoder(d), GeometricAttention(config)
+        self.own, self.own_key = (nn.Parameter(0.02 * torch.randn(config.n_nodes, d)) for _ in range(2))
+        self.node, self.node_prior = nn.Linear(d, 1), nn.Parameter(torch.zeros(config.n_nodes))
+        self.part, self.middle = nn.Linear(d, e), nn.Linear(d, e)
+        self.own_edge = nn.Parameter(0.02 * torch.randn(config.n_edges, e))
+        self.edge, self.edge_prior = nn.Linear(e, 1), nn.Parameter(torch.zeros(config.n_edges))
+        self.link = nn.Linear(e, 1)
+        self.kind = nn.Parameter(0.02 * torch.randn(3, d))
+        self.place = nn.Parameter(0.02 * torch.randn(LONGEST + 2, d))
+        self.enter = nn.Linear(d, d)
+        self.blocks = nn.ModuleList(Block(d, config.sizes.heads, 4 * d) for _ in range(config.sizes.layers))
+        self.reads = nn.ModuleList(
+            Block(d, config.sizes.heads, 2 * d) for _ in range(config.sizes.layers - 1)
+        )
+        self.norm, self.out, self.key = nn.LayerNorm(d), nn.Linear(d, d), nn.Linear(d, d)
+        self.goal_key, self.goal_bias = nn.Linear(d, d), nn.Parameter(torch.zeros(1))
+        self.gate, self.way = nn.Linear(d, 1), nn.Parameter(torch.tensor(5.0))
+        nn.init.zeros_(self.gate.weight)
+        nn.init.constant_(self.gate.bias, 1.5)
+        nn.init.constant_(self.link.bias, 3.0)
+
+    def set_roadmap(self, nodes: np.ndarray, edges: np.ndarray) -> None:
+        """Take the dictionary's nodes (N, n) [rad] and edges (E, 2)."""
+        self.nodes.copy_(torch.from_numpy(nodes))
+        self.edges.copy_(torch.from_numpy(edges.astype(np.int64)))
+
+    @cached_property
+    def graph(self) -> Graph:
+        """Tables of the roadmap; made when they are first asked for."""
+        count, device = len(self.nodes), self.nodes.device
+        pairs = self.edges.cpu().numpy()
+        arcs = np.concatenate([pairs, pairs[:, ::-1]])
+        order = np.argsort(arcs[:, 0], kind="stable")
+        first = np.searchsorted(arcs[order, 0], np.arange(count + 1))
+        degree = np.diff(first)
+        column = np.arange(len(arcs)) - np.repeat(first[:-1], degree)
+        neighbour = np.repeat(np.arange(count)[:, None], max(1, degree.max(initial=1)), 1)
+        edge, padding = np.zeros_like(neighbour), np.full(neighbour.shape, np.inf, dtype=np.float32)
+        row = arcs[order, 0]
+        neighbour[row, column], edge[row, column], padding[row, column] = (
+            arcs[order, 1],
+            order % len(pairs),
+            0.0,
+        )
+        with torch.no_grad():
+            features, positions = self.configurations(self.nodes[None])
+            length = (self.nodes[self.edges[:, 0]] - self.nodes[self.edges[:, 1]]).norm(dim=1)
+        tables = (torch.from_numpy(table).to(device) for table in (neighbour, edge, padding))
+        return Graph(positions[0], features[0], *tables, length)
+
+    @cached_property
+    def _kinematics(self) -> LinkPositions:
+        return LinkPositions(self.config.lower, self.config.upper, self.config.body, self.nodes.device)
+
+    def configurations(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Features (s, u, f) and body points (s, u, k, 3) [m] of configurations q (s, u, n) [rad]."""
+        positions = self._kinematics.positions(q)
+        lower, upper = q.new_tensor(self.config.lower), q.new_tensor(self.config.upper)
+        scaled = 2.0 * (q - lower) / (upper - lower) - 1.0
+        features = torch.cat((scaled, q.sin(), q.cos(), positions), -1)
+        return features, positions.unflatten(-1, (-1, 3))
+
+    def encode(self, centres: Tensor, offsets: Tensor) -> Scenes:
+        """Look at scenes, given as groups of points (see `group_points`), from every code."""
+        tokens, graph = self.scene(centres, offsets), self.graph
+        codes = self.look(graph.features[None], graph.positions[None], tokens, centres, self.own)
+        parts = self.part(codes).float()
+        pairs = parts[:, self.edges[:, 0]] + parts[:, self.edges[:, 1]] + self.own_edge
+        return Scenes(
+            tokens,
+            centres,
+            codes,
+            self.key(codes) + self.own_key,
+            parts,
+            self.node(codes)[..., 0].float() + self.node_prior,
+            self.edge(pairs.relu())[..., 0].float() + self.edge_prior,
+        )
+
+    def ends(self, scenes: Scenes, q: Tensor) -> Ends:
+        """Look at scenes from starts or goals q (s, u, n) [rad], and half way to the codes near them."""
+        s, u, _ = q.shape
+        seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
+        length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(
+            self.config.sizes.links, largest=False
+        )
+        half_way = (0.5 * (q[:, :, None] + self.nodes[near])).flatten(1, 2)
+        middle = self.look(*self.configurations(half_way), scenes.tokens, scenes.centres)
+        x = self.middle(middle).float().unflatten(1, (u, -1)) + self.part(seen).float()[:, :, None]
+        x = x + scenes.parts.gather(1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])).unflatten(
+            1, (u, -1)
+        )
+        odds = self.link(x.relu())[..., 0].float()
+        return Ends(seen, near, length + RISK * F.softplus(-odds))
+
+    @torch.no_grad()
+    def cost_to_go(self, scenes: Scenes, goals: Ends) -> Tensor:
+        """V (s, g, N) [rad]: cost of the cheapest way from every code to each goal, at most UNREACHED."""
+        arcs = (self.arc_costs(scenes) + self.graph.padding)[..., None]
+        start = arcs.new_full((*goals.near.shape[:2], len(self.nodes)), UNREACHED)
+        V = start.scatter(2, goals.near, goals.cost.float()).transpose(1, 2).contiguous()  # (s, N, g)
+        neighbour = self.graph.neighbour.flatten()
+        for _ in range(ROUNDS):
+            through = V.index_select(1, neighbour).view(*arcs.shape[:3], -1) + arcs
+            V, before = torch.minimum(V, through.amin(2)), V
+            if torch.equal(V, before):
+                break
+        return V.transpose(1, 2).contiguous()
+
+    def arc_costs(self, scenes: Scenes) -> Tensor:
+        """Cost (s, N, w) [rad] of the edge to every neighbour."""
+        cost = self.graph.length + RISK * F.softplus(-scenes.edge_odds)
+        return cost[:, self.graph.edge]
+
+    def logits(self, scenes: Scenes, start: Ends, goal: Ends, V: Tensor, codes: Tensor) -> Tensor:
+        """Logits (s, r, l + 1, N + 1) after every prefix of codes (s, r, l) int64, padded with any code.
+
+        start, goal: of each of the r sequences. V: (s, r, N), of `cost_to_go`.
+        """
+        (s, r, length), d, graph = codes.shape, self.config.sizes.width, self.graph
+        taken = scenes.codes.gather(1, codes.flatten(1)[..., None].expand(-1, -1, d)).view(s, r, length, d)
+        parts = ((goal.seen[:, :, None], 0), (start.seen[:, :, None], 1), (taken, 2))
+        x = (
+            torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2)
+            + self.place[: length + 2]
+        )
+        landmarks = scenes.codes[:, :: self.config.sizes.stride]
+        for number, block in enumerate(self.blocks):
+            x = block(x.flatten(0, 1), causal=True).view(s, -1, d)
+            if number < len(self.reads):
+                x = self.reads[number](x, landmarks)
+            x = x.view(s, r, length + 2, d)
+        x = self.norm(x[:, :, 1:])
+        pointer, gate = self.out(x), F.softplus(self.gate(x)).float()
+        scale = d**-0.5
+        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(
+            s, r, length + 1, -1
+        ) * scale
+        to_goal = (pointer * self.goal_key(goal.seen)[:, :, None]).sum(-1).float() * scale + self.goal_bias
+        first = start.cost + V.gather(2, start.near)
+        first = self.way - gate[:, :, 0] * (first - first.amin(-1, keepdim=True)).clamp(max=WORST)
+        steps = [over_codes[:, :, :1].scatter_add(3, start.near[:, :, None], first[:, :, None])]
+        goals = [to_goal[:, :, :1]]
+        if length:
+            here, neighbour = V.gather(2, codes), graph.neighbour[codes]
+            arcs = self.arc_costs(scenes).gather(
+                1, codes.flatten(1)[..., None].expand(-1, -1, neighbour.shape[-1])
+            )
+            there = V.gather(2, neighbour.flatten(2)).view(neighbour.shape)
+            advantage = (arcs.view(neighbour.shape) + there - here[..., None]).clamp(0.0, WORST)
+            bonus = (self.way - gate[:, :, 1:] * advantage).masked_fill(graph.padding[codes] > 0.0, 0.0)
+            steps.append(over_codes[:, :, 1:].scatter_add(3, neighbour, bonus))
+            links = torch.full_like(V, torch.inf).scatter(2, goal.near, goal.cost).gather(2, codes)
+            known = links.isfinite()
+            extra = self.way - gate[:, :, 1:, 0] * (links.masked_fill(~known, 0.0) - here).clamp(0.0, WORST)
+            goals.append(to_goal[:, :, 1:] + extra.masked_fill(~known, 0.0))
+        return torch.cat((torch.cat(steps, 2), torch.cat(goals, 2)[..., None]), -1)
+
+    def ways(self, start: Tensor, goal: Tensor, codes: Tensor) -> Tensor:
+        """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on the roadmap.
+
+        start, goal: (s, r, n) [rad].
+        """
+        count, links, device = len(self.nodes), self.config.sizes.links, codes.device
+        near = [torch.cdist(q.flatten(0, 1), self.nodes).topk(links, largest=False)[1] for q in (start, goal)]
+        first, last = (
+            torch.zeros(len(rows), count + 1, device=device).scatter(1, rows, 1.0) for rows in near
+        )
+        table = torch.zeros(count, count + 1, device=device).scatter(1, self.graph.neighbour, 1.0)
+        table.fill_diagonal_(0.0)  # what pads the table of neighbours
+        following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
+        following[..., -1] = last.gather(1, codes.flatten(0, 1))
+        return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, count + 1)
+
+
+def group_points(cloud: np.ndarray, groups: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Groups of a cloud (m, 3) [m]: centres (groups, 3), far from each other, and the nearest points around each.
+
+    The latter (groups, size, 3) are relative to their centre. A cloud of fewer points repeats them.
+    """
+    points = np.asarray(cloud, dtype=np.float32)
+    points = points[np.arange(max(len(points), size + 1)) % len(points)]
+    chosen, away = np.zeros(groups, dtype=np.int64), ((points - points[0]) ** 2).sum(1)
+    for k in range(1, groups):
+        chosen[k] = away.argmax()
+        offset = points - points[chosen[k]]
+        np.minimum(away, np.einsum("ij,ij->i", offset, offset), out=away)
+    centres = points[chosen]
+    squared = (centres**2).sum(1)[:, None] + (points**2).sum(1) - 2.0 * centres @ points.T
+    nearest = np.argpartition(squared, size, axis=1)[:, :size]
+    return centres, points[nearest] - centres[:, None]
