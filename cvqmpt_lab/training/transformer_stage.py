@@ -34,12 +34,14 @@ NOWHERE = (0.0, 0.0, -0.87)  # [m] where the points of an empty cloud lie
 class TransformerSettings:
     """How the scene transformer is trained."""
 
-    epochs: int = 40
+    epochs: int = 30
     batches_per_epoch: int = 400
     scenes: int = 4  # of a batch
     paths: int = 96  # of each scene
     goals: int = 16  # different ones of each scene
-    cloud: CloudSettings = field(default_factory=lambda: CloudSettings(points=1024, occlusion=0.3))
+    cloud: CloudSettings = field(
+        default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
+    )
     validation_scenes: int = 70
     precision: Literal["float32", "bf16"] = "bf16"  # of most matrix products; losses are always float32
     optimizer: OptimizerSettings = field(
