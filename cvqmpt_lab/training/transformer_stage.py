@@ -22,12 +22,12 @@ from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, Stage
 from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, SceneTransformerSizes, require_sizes
-from cvqmpt_lab.vqmpt.scene_transformer import LONGEST, Ends, Scenes, SceneTransformer, group_points
+from cvqmpt_lab.vqmpt.point_groups import NOWHERE, group_points
+from cvqmpt_lab.vqmpt.scene_transformer import LONGEST, Ends, Scenes, SceneTransformer
 
 NO_TARGET = -100
 SHORT = (4, 6)  # codes from which paths count as longer ones
 FEWEST_PATHS = 8  # of a scene that is used
-NOWHERE = (0.0, 0.0, -0.87)  # [m] where the points of an empty cloud lie
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,8 +244,8 @@ class TransformerStage(Stage):
 
     def _measure(self, means: Means, batch: dict[str, Tensor]) -> None:
         targets = self.targets(batch)
-        q = [chosen(batch[f"{end}s"], batch[end]) for end in ("start", "goal")]
-        ways = self.module.ways(*q, batch["codes"])
+        start, goal = (chosen(batch[f"{end}s"], batch[end]) for end in ("start", "goal"))
+        ways = self.module.ways(start, goal, batch["codes"])
         cloud = {name: batch[name] for name in ("centres", "offsets")}
         nowhere = torch.zeros_like(cloud["centres"]) + cloud["centres"].new_tensor(NOWHERE)
         clouds = {
@@ -265,8 +265,9 @@ class TransformerStage(Stage):
             if prefix == "":
                 means.add("loss", float(counted.sum()), len(counted))
                 for name, odds in (("node", scenes.node_odds), ("edge", scenes.edge_odds)):
-                    areas = [area_under_curve(o, f) for o, f in zip(odds, batch[f"{name}_free"], strict=True)]
-                    areas = [area for area in areas if area is not None]
+                    each_scene = zip(odds, batch[f"{name}_free"], strict=True)
+                    found = (area_under_curve(o, f) for o, f in each_scene)
+                    areas = [area for area in found if area is not None]
                     means.add(f"{name}_area_under_curve", sum(areas), len(areas))
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:

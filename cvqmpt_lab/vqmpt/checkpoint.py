@@ -33,8 +33,8 @@ class Checkpoint:
     robot: RobotSignature
     dictionary: Dictionary
     sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
-    transformer: SceneTransformer | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
+    transformer: SceneTransformer | None = None
 
     @property
     def parts(self) -> dict[str, nn.Module]:

@@ -113,7 +113,7 @@ class Predictor:
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses, or a start or goal outside the joint limits.
         """
-        start, goals = self._checked(start, goals)
+        start, goals = checked_ends(self.robot, start, goals)
         began = time.perf_counter()
         scene = self.encode_scene(cloud, use_cache)
         encoded = time.perf_counter()
@@ -155,22 +155,23 @@ class Predictor:
         uniform = Uniform(self.robot.lower, self.robot.upper)
         return GaussianMixture.equal(means, covariances, uniform, settings.uniform_share, settings.name)
 
-    def _checked(self, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Start (n,) and goals (k, n) as float64."""
-        n = self.robot.dof
-        start, goals = _numbers(start, "start"), _numbers(goals, "goals")
-        if start.shape != (n,):
-            raise InvalidInputError(f"start of shape {start.shape}; the robot takes ({n},)")
-        if goals.ndim != 2 or goals.shape[1] != n or len(goals) == 0:
-            raise InvalidInputError(f"goals of shape {goals.shape}; the robot takes (k, {n}), at least one")
-        for what, q in (("start", start), *((f"goal {i}", goal) for i, goal in enumerate(goals))):
-            if not np.isfinite(q).all():
-                joint = self.robot.joint_names[int(np.argmin(np.isfinite(q)))]
-                raise InvalidInputError(f"{what}: joint {joint!r} is not finite")
-            outside = self.robot.joint_outside_limits(q, LIMIT_TOLERANCE)
-            if outside is not None:
-                raise InvalidInputError(f"{what}: joint {outside[0]!r} is {outside[1]:g} outside its limits")
-        return start, goals
+
+def checked_ends(robot: Robot, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Start (n,) and goals (k, n) as float64; InvalidInputError where they are not within a robot's limits."""
+    n = robot.dof
+    start, goals = _numbers(start, "start"), _numbers(goals, "goals")
+    if start.shape != (n,):
+        raise InvalidInputError(f"start of shape {start.shape}; the robot takes ({n},)")
+    if goals.ndim != 2 or goals.shape[1] != n or len(goals) == 0:
+        raise InvalidInputError(f"goals of shape {goals.shape}; the robot takes (k, {n}), at least one")
+    for what, q in (("start", start), *((f"goal {i}", goal) for i, goal in enumerate(goals))):
+        if not np.isfinite(q).all():
+            joint = robot.joint_names[int(np.argmin(np.isfinite(q)))]
+            raise InvalidInputError(f"{what}: joint {joint!r} is not finite")
+        outside = robot.joint_outside_limits(q, LIMIT_TOLERANCE)
+        if outside is not None:
+            raise InvalidInputError(f"{what}: joint {outside[0]!r} is {outside[1]:g} outside its limits")
+    return start, goals
 
 
 def union(sequences: list[CodeSequence], repeated: bool = False) -> np.ndarray:

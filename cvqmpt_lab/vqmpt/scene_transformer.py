@@ -222,8 +222,8 @@ class SceneTransformer(nn.Module):
         with torch.no_grad():
             features, positions = self.configurations(self.nodes[None])
             length = (self.nodes[self.edges[:, 0]] - self.nodes[self.edges[:, 1]]).norm(dim=1)
-        tables = (torch.from_numpy(table).to(device) for table in (neighbour, edge, padding))
-        return Graph(positions[0], features[0], *tables, length)
+        tables = [torch.from_numpy(table).to(device) for table in (neighbour, edge, padding)]
+        return Graph(positions[0], features[0], tables[0], tables[1], tables[2], length)
 
     @cached_property
     def _kinematics(self) -> LinkPositions:
@@ -347,21 +347,3 @@ class SceneTransformer(nn.Module):
         following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
         following[..., -1] = last.gather(1, codes.flatten(0, 1))
         return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, count + 1)
-
-
-def group_points(cloud: np.ndarray, groups: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Groups of a cloud (m, 3) [m]: centres (groups, 3), far from each other, and the nearest points around each.
-
-    The latter (groups, size, 3) are relative to their centre. A cloud of fewer points repeats them.
-    """
-    points = np.asarray(cloud, dtype=np.float32)
-    points = points[np.arange(max(len(points), size + 1)) % len(points)]
-    chosen, away = np.zeros(groups, dtype=np.int64), ((points - points[0]) ** 2).sum(1)
-    for k in range(1, groups):
-        chosen[k] = away.argmax()
-        offset = points - points[chosen[k]]
-        np.minimum(away, np.einsum("ij,ij->i", offset, offset), out=away)
-    centres = points[chosen]
-    squared = (centres**2).sum(1)[:, None] + (points**2).sum(1) - 2.0 * centres @ points.T
-    nearest = np.argpartition(squared, size, axis=1)[:, :size]
-    return centres, points[nearest] - centres[:, None]

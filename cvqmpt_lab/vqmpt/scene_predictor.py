@@ -1,0 +1,102 @@
+"""The scene transformer as planners use it: from a cloud, a start and goals to code sequences, without torch.
+
+scene = predictor.encode(cloud)
+nearest = goals[predictor.rank(scene, start, goals)[:3]]
+sequences = predictor.sequences(scene, start, nearest)
+"""
+
+import hashlib
+from collections import OrderedDict
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
+from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search
+from cvqmpt_lab.vqmpt.config import checked_cloud
+from cvqmpt_lab.vqmpt.point_groups import NOWHERE, group_points
+from cvqmpt_lab.vqmpt.predictor import SCENES, checked_ends
+from cvqmpt_lab.vqmpt.sequence_decoder import LONGEST, EncodedScene, SceneTransformerArrays
+from cvqmpt_lab.vqmpt.weights import StoredModel
+
+POINTS = 1024  # of a cloud in training
+CENTRE, FARTHEST = (0.0, 0.0, 0.33), 1.6  # [m] points farther from there than any in training are left out
+
+
+class SceneTransformerPredictor:
+    """A trained scene transformer for one robot; remembers the latest clouds."""
+
+    def __init__(self, model: StoredModel, robot: Robot) -> None:
+        """Take over a model's weights.
+
+        Raises InvalidInputError when it has no transformer, belongs to another robot, or does not fit its sizes.
+        """
+        self.robot, self._network = robot, SceneTransformerArrays(model, robot)
+        self._scenes: OrderedDict[str, EncodedScene] = OrderedDict()
+
+    def encode(self, cloud: np.ndarray, use_cache: bool = True) -> EncodedScene:
+        """Look at a cloud (m, 3) [m, robot base frame] from every code; found among the latest ones where it is.
+
+        A cloud of no points is one of an empty scene. Raises InvalidInputError for a cloud that `checked_cloud`
+        refuses, or that has no point within reach.
+        """
+        points = _near_points(cloud)
+        key = hashlib.sha256(points.tobytes()).hexdigest()
+        if not use_cache or key not in self._scenes:
+            sizes = self._network.config.sizes
+            groups = group_points(_as_in_training(points), sizes.groups, sizes.group_size)
+            self._scenes[key] = self._network.encode(*groups)
+            if len(self._scenes) > SCENES:
+                self._scenes.popitem(last=False)
+        self._scenes.move_to_end(key)
+        return self._scenes[key]
+
+    def sequences(
+        self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3
+    ) -> list[CodeSequence]:
+        """The likeliest code sequence from start (n,) to each of goals (k, n) [rad or m], in the order of the goals.
+
+        beams: hypotheses kept for each goal, K. Raises InvalidInputError for a start or goal outside the joint limits.
+        """
+        start, goals = checked_ends(self.robot, start, goals)
+        return beam_search(self._network.decoder(scene, start, goals), beams=beams, max_length=LONGEST + 1)
+
+    def goal_costs(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Cost (k,) [rad] of the cheapest way from start (n,) over the roadmap to each of goals (k, n).
+
+        That of a motion is its length - w log P(free). No sequence is decoded. Errors as of `sequences`.
+        """
+        start, goals = checked_ends(self.robot, start, goals)
+        _, near, cost = self._network.ends(scene, np.vstack([start[None], goals]))
+        V = self._network.cost_to_go(scene, near[1:], cost[1:])
+        return (cost[0] + V[:, near[0]]).min(axis=1)
+
+    def rank(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Rows (k,) of goals (k, n), the one with the cheapest way from start (n,) first; see `goal_costs`."""
+        return np.argsort(self.goal_costs(scene, start, goals), kind="stable")
+
+
+def _near_points(cloud: np.ndarray) -> np.ndarray:
+    """Points (p, 3) float32 [m] of a cloud (m, 3) that are not too far away."""
+    if np.shape(cloud) == (0, 3):
+        return np.empty((0, 3), dtype=np.float32)
+    points = checked_cloud(np.repeat(cloud, 2, axis=0) if np.shape(cloud) == (1, 3) else cloud)
+    offset = points - np.array(CENTRE, dtype=np.float32)
+    near = np.einsum("pi,pi->p", offset, offset) <= FARTHEST**2
+    if not near.any():
+        raise InvalidInputError(
+            f"none of the cloud's {len(points)} points is within {FARTHEST:g} m of {CENTRE}: give it in metres, in the "
+            "frame of the robot's base"
+        )
+    return points if near.all() else points[near]
+
+
+def _as_in_training(points: np.ndarray) -> np.ndarray:
+    """At most POINTS points, evenly chosen; those of an empty scene lie far below the robot."""
+    if len(points) == 0:
+        return np.array([NOWHERE], dtype=np.float32)
+    if len(points) > POINTS:
+        settings = CameraSettings.like_training(POINTS, noise=0.0)
+        return thinned(points, settings, np.random.default_rng(0)).astype(np.float32)
+    return points
