@@ -16,6 +16,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain
 from cvqmpt_lab.vqmpt.weights import StoredModel, robot_signature
 
+ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 CHAIN_TOLERANCE = 1e-4  # link frames that differ by less are those of training [m, entries of rotations]
 DICTIONARY = "dictionary"  # name of the part
 
@@ -244,3 +245,8 @@ def drawn_nodes(means: np.ndarray, covariances: np.ndarray, robot: Robot, noise:
     """
     draws = means + np.einsum("kij,kj->ki", np.linalg.cholesky(covariances), noise)
     return np.clip(draws, robot.lower, robot.upper)
+
+
+def code_noise(codes: int, n: int) -> np.ndarray:
+    """Standard normal (codes, n): where in its Gaussian each code's node lies, always the same."""
+    return np.random.default_rng(ROADMAP_DRAW).standard_normal((codes, n))

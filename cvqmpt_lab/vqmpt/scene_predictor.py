@@ -13,13 +13,17 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
-from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search
+from cvqmpt_lab.vqmpt.beam_search import CodeSequence
+from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
 from cvqmpt_lab.vqmpt.config import checked_cloud
-from cvqmpt_lab.vqmpt.point_groups import NOWHERE, group_points
+from cvqmpt_lab.vqmpt.encoded_scene import PART, EncodedScene, Ends
+from cvqmpt_lab.vqmpt.point_groups import NOWHERE
 from cvqmpt_lab.vqmpt.predictor import SCENES, checked_ends
-from cvqmpt_lab.vqmpt.sequence_decoder import LONGEST, EncodedScene, SceneTransformerArrays
-from cvqmpt_lab.vqmpt.weights import StoredModel
+from cvqmpt_lab.vqmpt.sequence_decoder import CausalTransformer, SequenceDecoder, likeliest_sequences
+from cvqmpt_lab.vqmpt.weights import TRAINED_BY, StoredModel
 
+NODE_TOLERANCE = 1e-3  # [rad or m] between a code's node in training and here
 POINTS = 1024  # of a cloud in training
 CENTRE, FARTHEST = (0.0, 0.0, 0.33), 1.6  # [m] points farther from there than any in training are left out
 
@@ -32,7 +36,14 @@ class SceneTransformerPredictor:
 
         Raises InvalidInputError when it has no transformer, belongs to another robot, or does not fit its sizes.
         """
-        self.robot, self._network = robot, SceneTransformerArrays(model, robot)
+        self.robot, self._network = robot, CausalTransformer(model, robot)
+        self._looker = self._network.looker
+        means, covariances = dictionary_gaussians(model, robot)
+        nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape))
+        if not np.allclose(nodes, self._looker.nodes, atol=NODE_TOLERANCE, rtol=0.0):
+            raise InvalidInputError(
+                f"transformer was trained on the codes of another dictionary; {TRAINED_BY[PART]}"
+            )
         self._scenes: OrderedDict[str, EncodedScene] = OrderedDict()
 
     def encode(self, cloud: np.ndarray, use_cache: bool = True) -> EncodedScene:
@@ -44,9 +55,9 @@ class SceneTransformerPredictor:
         points = _near_points(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
         if not use_cache or key not in self._scenes:
-            sizes = self._network.config.sizes
-            groups = group_points(_as_in_training(points), sizes.groups, sizes.group_size)
-            self._scenes[key] = self._network.encode(*groups)
+            sizes = self._looker.config.sizes
+            groups = compiled_groups(_as_in_training(points), sizes.groups, sizes.group_size)
+            self._scenes[key] = self._looker.encode(*groups)
             if len(self._scenes) > SCENES:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(key)
@@ -60,7 +71,8 @@ class SceneTransformerPredictor:
         beams: hypotheses kept for each goal, K. Raises InvalidInputError for a start or goal outside the joint limits.
         """
         start, goals = checked_ends(self.robot, start, goals)
-        return beam_search(self._network.decoder(scene, start, goals), beams=beams, max_length=LONGEST + 1)
+        decoder = SequenceDecoder(self._network, scene, start, goals)
+        return likeliest_sequences(decoder, beams)
 
     def goal_costs(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Cost (k,) [rad] of the cheapest way from start (n,) over the roadmap to each of goals (k, n).
@@ -68,9 +80,10 @@ class SceneTransformerPredictor:
         That of a motion is its length - w log P(free). No sequence is decoded. Errors as of `sequences`.
         """
         start, goals = checked_ends(self.robot, start, goals)
-        _, near, cost = self._network.ends(scene, np.vstack([start[None], goals]))
-        V = self._network.cost_to_go(scene, near[1:], cost[1:])
-        return (cost[0] + V[:, near[0]]).min(axis=1)
+        ends = self._looker.ends(scene, np.vstack([start[None], goals]))
+        own = Ends(*(part[:1] for part in ends))
+        from_start = self._looker.cost_to_go(scene, own)[0]
+        return (from_start[ends.near[1:]] + ends.cost[1:]).min(axis=1)
 
     def rank(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Rows (k,) of goals (k, n), the one with the cheapest way from start (n,) first; see `goal_costs`."""

@@ -28,7 +28,7 @@ from cvqmpt_lab.search.result import JointPath, Timings
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
-from cvqmpt_lab.vqmpt.codebook import Codebook, codes_of, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
@@ -37,7 +37,6 @@ from cvqmpt_lab.vqmpt.sampler import CodeProposal, CodeRoadmap, PredictedSequenc
 from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, StoredModel, read_model, resolve_model
 
 EDGE_PART = "sight"  # the edge validity model among the parts of a model
-ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 POINTS = 4096  # of a cloud that becomes a distance field
 OTHER_SCENE = ("shelves", 77)  # shown by controls in place of the problem's own scene
 WIDTH = 1.1  # [rad] no Gaussian that is sampled from is narrower in any direction; chosen on the tuning environments
@@ -72,12 +71,7 @@ def codebook_of(model: str, robot: Robot) -> Codebook:
 def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
     """The dictionary: one configuration drawn from each code's Gaussian."""
     means, covariances = dictionary_gaussians(model_of(model), robot)
-    return Roadmap.of(drawn_nodes(means, covariances, robot, _noise(len(means), robot.dof)), covariances)
-
-
-def _noise(codes: int, n: int) -> np.ndarray:
-    """Standard normal (codes, n): where in its Gaussian each code's node lies."""
-    return np.random.default_rng(ROADMAP_DRAW).standard_normal((codes, n))
+    return Roadmap.of(drawn_nodes(means, covariances, robot, code_noise(len(means), robot.dof)), covariances)
 
 
 @lru_cache(maxsize=8)
@@ -156,7 +150,7 @@ class MovedGaussians:
         z, manifold = self.codebook.vectors[proposal.codes], query.space.problem.manifold
         moved = self.optimizer.optimize(z, manifold, query.rng)
         means, covariances = self.codebook.gaussians(moved.z)
-        noise = _noise(len(self.codebook.vectors), robot.dof)[proposal.codes]
+        noise = code_noise(len(self.codebook.vectors), robot.dof)[proposal.codes]
         means = drawn_nodes(means, covariances, robot, noise)
         return replace(
             proposal,

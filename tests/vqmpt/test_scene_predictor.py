@@ -1,0 +1,254 @@
+"""The scene transformer without torch against torch, on small random weights; the cloud and goals it refuses."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from small_models import SIZES, random_checkpoint
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.labels.generation import serial_chain
+from cvqmpt_lab.labels.roadmap_labels import body_points
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.vqmpt.beam_search import beam_search
+from cvqmpt_lab.vqmpt.checkpoint import stored
+from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
+from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
+from cvqmpt_lab.vqmpt.point_groups import group_points
+from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
+from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer
+from cvqmpt_lab.vqmpt.sequence_decoder import LONGEST, SequenceDecoder
+
+SMALL = SceneTransformerSizes(
+    width=32, layers=3, heads=2, groups=24, group_size=8, values=4, edge_width=16, links=6, stride=3
+)
+ROBOTS = {
+    "panda": {"name": "panda"},
+    "tiago-no-hand": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
+}
+CLOUD = np.random.default_rng(1).uniform(-0.7, 0.7, (300, 3))
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request):
+    """The Panda, and an arm of eight joints whose first one slides."""
+    return robot_from_source(ROBOTS[request.param])
+
+
+@pytest.fixture(scope="module")
+def checkpoint(robot):
+    config = ModelConfig.compact(robot.dof, 0, n_codes=64)
+    config = dataclasses.replace(config, dictionary=dataclasses.replace(config.dictionary, transformer=SIZES))
+    words = random_checkpoint(robot, config, metadata={})
+    means, covariances = dictionary_gaussians(stored(words), robot)
+    nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape)).astype(np.float32)
+    order = np.argsort(((nodes[:, None] - nodes) ** 2).sum(-1), axis=1)[:, 1:5]
+    pairs = np.stack([np.arange(64).repeat(4), order.ravel()], axis=1)
+    edges = np.unique(np.sort(pairs, axis=1), axis=0)
+    joints, offsets = body_points(robot)
+    chain = dataclasses.replace(serial_chain(robot), points=tuple(joints.tolist()), offsets=offsets)
+    limits = {"lower": tuple(robot.lower.tolist()), "upper": tuple(robot.upper.tolist())}
+    sizes = SceneTransformerConfig(**limits, body=chain, n_nodes=64, n_edges=len(edges), sizes=SMALL)
+    torch.manual_seed(0)
+    module = SceneTransformer(sizes)
+    module.set_roadmap(nodes, edges)
+    with torch.no_grad():
+        for parameter in module.parameters():
+            parameter += 0.05 * torch.randn_like(parameter)
+    return dataclasses.replace(
+        words, config=dataclasses.replace(config, transformer=sizes), transformer=module.eval()
+    )
+
+
+@pytest.fixture(scope="module")
+def model(checkpoint):
+    return stored(checkpoint)
+
+
+@pytest.fixture(scope="module")
+def predictor(model, robot):
+    return SceneTransformerPredictor(model, robot)
+
+
+@pytest.fixture(scope="module")
+def queries(robot):
+    """A start and five goals."""
+    q = robot.random_configurations(np.random.default_rng(2), 6)
+    return q[0], q[1:]
+
+
+@pytest.fixture(scope="module")
+def by_torch(checkpoint):
+    """The scene, and its parts without the dimension of scenes."""
+    groups = [torch.from_numpy(part)[None] for part in group_points(CLOUD, SMALL.groups, SMALL.group_size)]
+    with torch.no_grad():
+        return checkpoint.transformer.encode(*groups)
+
+
+def tensor(array):
+    return torch.from_numpy(np.asarray(array, dtype=np.float32))[None]
+
+
+def test_embeddings_odds_and_costs_to_go_are_those_of_torch(checkpoint, predictor, by_torch, queries):
+    scene, network = predictor.encode(CLOUD), checkpoint.transformer
+    for name in ("codes", "keys", "parts", "node_odds", "edge_odds"):
+        np.testing.assert_allclose(getattr(scene, name), getattr(by_torch, name)[0], atol=1e-4, err_msg=name)
+    start, goals = queries
+    with torch.no_grad():
+        first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
+        V = network.cost_to_go(by_torch, ends)
+    decoder = SequenceDecoder(predictor._network, scene, start, goals)
+    np.testing.assert_allclose(decoder.V, V[0], atol=1e-4)
+    expected = (first.cost[0] + V[0][:, first.near[0, 0]]).min(dim=1).values
+    costs = predictor.goal_costs(scene, start, goals)
+    np.testing.assert_allclose(costs, expected, atol=1e-4)
+    assert predictor.rank(scene, start, goals).tolist() == np.argsort(costs).tolist()
+
+
+def test_ways_after_every_prefix_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries):
+    network, (start, goals), rng = checkpoint.transformer, queries, np.random.default_rng(0)
+    decoder = SequenceDecoder(predictor._network, predictor.encode(CLOUD), start, goals)
+    ways, log_p = decoder.start()
+    steps, codes = [(ways, log_p)], []
+    for _ in range(LONGEST):
+        open_ways = [row[np.isfinite(p) & (row < 64)] for row, p in zip(ways, log_p, strict=True)]
+        codes.append(np.array([rng.choice(row) for row in open_ways]))
+        ways, log_p = decoder.advance(np.arange(len(goals)), codes[-1])
+        steps.append((ways, log_p))
+    codes = torch.from_numpy(np.stack(codes, axis=1))[None]
+    with torch.no_grad():
+        first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
+        V, first = network.cost_to_go(by_torch, ends), Ends(*(p.expand(-1, len(goals), -1) for p in first))
+        logits = network.logits(by_torch, first, ends, V, codes)[0]
+        allowed = network.ways(tensor(start).expand(1, len(goals), -1), tensor(goals), codes)[0]
+    expected = logits.masked_fill(~allowed, -torch.inf).log_softmax(-1).numpy()
+    for step, (ways, log_p) in enumerate(steps):
+        found = np.full((len(goals), 65), -np.inf)
+        for row in range(len(goals)):
+            known = np.isfinite(log_p[row])
+            found[row, ways[row][known]] = log_p[row][known]
+        np.testing.assert_allclose(found, expected[:, step], atol=1e-4)
+
+
+class FullClasses:
+    """A decoder as `beam_search` asks for one: every class, impossible ones at -1e9."""
+
+    def __init__(self, decoder, codes):
+        self.decoder, self.codes = decoder, codes
+
+    def start(self):
+        return self.of(*self.decoder.start())
+
+    def advance(self, parents, codes):
+        return self.of(*self.decoder.advance(parents, codes))
+
+    def of(self, ways, log_p):
+        logits = np.full((len(ways), self.codes + 2), -1e9, dtype=np.float32)
+        for row, classes, values in zip(logits, ways, log_p, strict=True):
+            known = np.isfinite(values)
+            row[np.where(classes == self.codes, self.codes + 1, classes)[known]] = values[known]
+        return logits
+
+
+@pytest.mark.parametrize("beams", [1, 3, 6])
+def test_sequences_are_those_of_the_beam_search_over_all_classes(predictor, queries, beams):
+    scene = predictor.encode(CLOUD)
+    found = predictor.sequences(scene, *queries, beams)
+    decoder = FullClasses(SequenceDecoder(predictor._network, scene, *queries), 64)
+    expected = beam_search(decoder, beams=beams, max_length=LONGEST + 1)
+    assert [one.codes for one in found] == [one.codes for one in expected]
+    assert [one.finished for one in found] == [one.finished for one in expected]
+    np.testing.assert_allclose([o.score for o in found], [o.score for o in expected], atol=1e-4)
+    alone = [predictor.sequences(scene, queries[0], goal[None], beams)[0].codes for goal in queries[1]]
+    assert alone == [one.codes for one in found]
+
+
+def test_compiled_groups_are_those_of_training():
+    rng = np.random.default_rng(0)
+    for count in (1, 5, 9, 300, 1024):
+        cloud = rng.uniform(-1.0, 1.0, (count, 3)).astype(np.float32)
+        (centres, offsets), (ours, near) = group_points(cloud, 24, 8), compiled_groups(cloud, 24, 8)
+        np.testing.assert_array_equal(ours, centres)
+        reach = [np.sort((part**2).sum(-1), axis=1) for part in (offsets, near)]
+        np.testing.assert_allclose(*reach, atol=1e-6)
+
+
+def test_few_many_and_far_points(predictor):
+    nothing, rng = predictor.encode(np.empty((0, 3))), np.random.default_rng(0)
+    assert np.isfinite(nothing.edge_odds).all()
+    one = predictor.encode(np.full((1, 3), 0.4))
+    assert not np.allclose(one.edge_odds, nothing.edge_odds)
+    many = predictor.encode(rng.uniform(-0.7, 0.7, (1_000_000, 3)))
+    assert np.isfinite(many.edge_odds).all()
+    with_far = predictor.encode(np.concatenate([CLOUD, [[0.0, 30.0, 0.0]]]))
+    np.testing.assert_array_equal(with_far.codes, predictor.encode(CLOUD).codes)
+    assert predictor.encode(CLOUD) is predictor.encode(CLOUD.copy())
+    assert predictor.encode(CLOUD) is not predictor.encode(CLOUD, use_cache=False)
+
+
+def test_a_start_no_code_is_near_still_has_a_way(predictor, robot, queries):
+    scene, corner = predictor.encode(CLOUD), robot.upper
+    found = predictor.sequences(scene, corner, queries[1])
+    assert all(one.finished and len(one.codes) > 0 for one in found)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "message"),
+    [
+        (np.where(np.arange(300)[:, None] == 7, np.nan, CLOUD), "1 points with NaN"),
+        (1000.0 * CLOUD, "give metres, not millimetres"),
+        (CLOUD + 20.0, r"none of the cloud's 300 points is within 1.6 m"),
+        (CLOUD[:, :2], r"shape \(300, 2\); it must be \(n, 3\)"),
+        ("cloud.ply", "point cloud must be numbers"),
+    ],
+)
+def test_bad_clouds_are_refused_in_one_line(predictor, cloud, message):
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        predictor.encode(cloud)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_queries_are_refused(predictor, robot, queries):
+    scene, (start, goals) = predictor.encode(CLOUD), queries
+    for call in (predictor.sequences, predictor.rank):
+        with pytest.raises(InvalidInputError, match=r"goal 1: joint .* is 1 outside its limits"):
+            call(scene, start, np.array([start, robot.upper + 1.0]))
+        with pytest.raises(InvalidInputError, match=r"start: joint .* is not finite"):
+            call(scene, np.nan * start, goals)
+        with pytest.raises(InvalidInputError, match="at least one"):
+            call(scene, start, goals[:0])
+    with pytest.raises(InvalidInputError, match="7 beams; give 1 to 6"):
+        predictor.sequences(scene, start, goals, beams=7)
+
+
+def changed(model, **arrays):
+    part = dict(model.parts["transformer"])
+    for name, array in arrays.items():
+        part[name.replace("__", ".")] = array
+    return dataclasses.replace(model, parts={**model.parts, "transformer": part})
+
+
+def test_weights_that_do_not_fit_are_refused(model, robot):
+    without = dataclasses.replace(model, parts={"dictionary": model.parts["dictionary"]})
+    nodes, edges = (model.parts["transformer"][name] for name in ("nodes", "edges"))
+    config, own = model.config, model.config.transformer
+    fewer = dataclasses.replace(config, transformer=dataclasses.replace(own, n_nodes=60))
+    refused = {
+        r"no transformer, only dictionary; train one: cvqmpt train transformer": without,
+        "transformer was trained on the codes of another dictionary": changed(
+            model, nodes=nodes[::-1].copy()
+        ),
+        r"nodes is \(63, .\), expected": changed(model, nodes=nodes[1:]),
+        r"edges is \(.*\) of float32, expected": changed(model, edges=edges.astype(np.float32)),
+        "edges that do not join two of its 64 nodes": changed(model, edges=edges + 1),
+        "is for 60 codes, the dictionary has 64": dataclasses.replace(model, config=fewer),
+        r"look.value.weight is \(16, 31\), expected": changed(model, look__value__weight=np.zeros((16, 31))),
+        "place has NaN": changed(model, place=np.full((LONGEST + 2, 32), np.nan, dtype=np.float32)),
+        "describes none": dataclasses.replace(model, config=dataclasses.replace(config, transformer=None)),
+    }
+    for message, bad in refused.items():
+        with pytest.raises(InvalidInputError, match=message) as caught:
+            SceneTransformerPredictor(bad, robot)
+        assert "\n" not in str(caught.value)
