@@ -113,7 +113,8 @@ PLANNERS = _by_name(
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
-    _learned("mpnet", "mpnet", weights="mpnet"),
+    _learned("mpnet", "mpnet", weights="mpnet"),  # the paper's MPNet (w/ proj)
+    _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),  # trees join its sides too
     _sequences("cvq-mpt"),
     _sequences("opt-cvq-mpt", project_first=True),
     _learned("roadmap-cvq", "roadmap_path"),

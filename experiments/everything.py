@@ -15,7 +15,7 @@ SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time ou
 QUICK = tuple(name for name in PLANNERS if name not in SLOW)
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 ISOLATED = ("straight-line", "cvq-wrong-cloud")  # controls that say what helps in scenes of other families
-FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet")) + ISOLATED
+FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet", "mpnet-bridged")) + ISOLATED
 ON_OTHER_ROBOTS = ("birrt", "ompl-projected")
 
 

@@ -58,6 +58,7 @@ CASES: tuple[Case, ...] = (
             ("atlas-rrt", (8, 10), SUITE),
             ("tb-rrt", (8, 10), SUITE),
             ("mpnet", (2, 5), SUITE),
+            ("mpnet-bridged", (2, 5), SUITE),
             ("cvq-mpt", (2, 5), SUITE),
             ("opt-cvq-mpt", (2, 5), SUITE),
             ("opt-algorithm-2", (5,), SUITE),  # guards the latent update, which no other planner uses

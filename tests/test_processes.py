@@ -28,6 +28,6 @@ def test_libraries_have_one_thread_meanwhile_and_a_learned_path_is_the_same_on_f
 
     def states(threads):
         with threadpool_limits(threads):
-            return solve(problem, "mpnet", Budget(iterations=300), seed=0).plan.path.states.tobytes()
+            return solve(problem, "mpnet-bridged", Budget(iterations=300), seed=0).plan.path.states.tobytes()
 
     assert states(1) == states(4)

@@ -21,6 +21,8 @@ from cvqmpt_lab.files import read_text, write_text
 
 SCHEMA = "2"
 RUNS_FILE = "runs.csv"
+BY_ROLLOUTS = "solved by rollouts"  # begins `detail` of planners that join states of a rollout
+ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"  # no tree was grown between them
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
 
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")  # the paper times these, as far as can be inferred

@@ -1,31 +1,36 @@
 """MPNet with projection, the learned baseline of the paper: a network proposes the path state by state.
 
-Two sides grow in turn, from the start and from a goal, each towards the other's last state: the network proposes,
-the proposal is clipped, projected and kept if free. When a direct motion joins the sides, every two
-neighbouring states without a direct motion between them are joined by constrained tree growth.
+Two sides grow in turn, from the start and from the nearest goal, each towards the other's last state: the network
+proposes, the proposal is clipped, projected and kept if free. When a straight joint line without collision joins the
+sides, every two neighbouring states are joined by a constrained motion: the direct one, otherwise one by tree growth.
+A rollout whose sides do not meet, or with a pair that is not joined, is given up, and the next one begins.
 
-What differs from the published code as it is known: proposals to one state are bounded, not repeated for ever;
-connections are projected motions, not straight lines checked for collision alone; the tree growth is the
-project's own; the cloud's encoding is paid for.
+What differs from the published code as it is known: proposals to one state are bounded, not repeated for ever; there
+are ten rollouts, not ten for each of five goals that are one and the same; a pair is first tried with the direct
+motion; the tree growth is the project's own and gets a share of the budget (there 5 of 50 s); the cloud's encoding is
+paid for. `BRIDGED` joins sides that have not met by tree growth as well, and takes turns with all goals.
 """
 
 import time
-from dataclasses import dataclass, replace
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.query import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
-from cvqmpt_lab.search.space import direct_motion
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 from cvqmpt_lab.vqmpt.config import MPNetConfig, checked_cloud
 from cvqmpt_lab.vqmpt.weights import StoredModel
 
 PART = "mpnet"
+LINE_STATES = 100  # checked for collision on a straight joint line, as published
 
 
 class MPNetNetwork:
@@ -108,21 +113,29 @@ class _Layer:
 
 @dataclass(frozen=True, kw_only=True)
 class MPNetSettings:
-    """How rollouts are made."""
+    """How rollouts are made; the defaults are the published method."""
 
     rollouts: int = 10  # tried before giving up; goals take turns, the nearest first
     predictions: int = 10  # states of one rollout
     attempts: int = 32  # proposals tested for one state before its rollout is given up
     dropout: bool = True  # as published; without it every attempt is the same, so there is one
-    bridge: bool = True  # join sides that have not met by tree growth; otherwise give the rollout up
+    goals: int | None = 1  # nearest goals that take turns; None for all (the published code knows one goal)
+    straight: bool = True  # sides meet along a straight line free of collision, otherwise a projected motion
+    unprojected: bool = True  # the network is told its last proposal as it was before projection
+    bridge: bool = False  # join sides that have not met by tree growth; otherwise give the rollout up
     share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
 
     def __post_init__(self) -> None:
-        for name in ("rollouts", "predictions", "attempts"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} of MPNet is {getattr(self, name)}; give at least 1")
+        for name in ("rollouts", "predictions", "attempts", "goals"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InvalidInputError(f"{name} of MPNet is {value}; give at least 1")
         if not 0.0 < self.share <= 1.0:
             raise InvalidInputError(f"share of MPNet is {self.share}; give more than 0 and at most 1")
+
+
+BRIDGED = MPNetSettings(goals=None, straight=False, unprojected=False, bridge=True)
+"""Rollouts as suggestions: tree growth joins what the network does not, to any goal."""
 
 
 class Rollout(NamedTuple):
@@ -130,7 +143,8 @@ class Rollout(NamedTuple):
 
     states: np.ndarray  # (k, n) [rad or m]
     meeting: int  # row after which the other side's states come
-    joint: JointPath | None  # the motion between the two states that meet, if it is known
+    met: bool  # otherwise the sides are to be joined by tree growth
+    joint: JointPath | None  # the direct motion between the two states that meet, None when there is none
 
 
 class MPNetRollouts:
@@ -144,26 +158,25 @@ class MPNetRollouts:
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
 
-        An iteration is one proposal tested or one sample used.
+        An iteration is one proposal tested or one sample used. The detail says what joined the path's states, or why
+        rollouts failed.
         """
         assert observation.cloud is not None
         began = query.deadline.seconds
         code = self.network.encode(self.network.draw_points(observation.cloud, query.rng))
         run = _Run(self.network, self.settings, query, code, query.deadline.seconds - began)
-        nearest = query.nearest_goals(len(query.goals))
-        path, failure, detail = None, PlanStatus.ITERATION_LIMIT, ""
+        nearest = query.nearest_goals(self.settings.goals or len(query.goals))
+        path, failure = None, PlanStatus.ITERATION_LIMIT
         for turn in range(self.settings.rollouts):
             path = run.attempt(query.start, nearest[turn % len(nearest)])
             spent = query.deadline.spent()
             if path is not None or spent is not None:
                 failure = spent or failure
                 break
-        else:
-            detail = f"all {self.settings.rollouts} rollouts failed"
         return Proposal(
             replace(query.uniform, name="mpnet, uniform"),
             Timings(encode=run.encode_seconds, predict=run.predict_seconds),
-            detail,
+            run.joined if path is not None else run.failed,
             vertices=run.vertices,
             path=path,
             failure=None if path is not None else failure,
@@ -181,32 +194,55 @@ class _Run:
     encode_seconds: float
     predict_seconds: float = 0.0
     vertices: int = 0
+    joined: str = ""  # how the states of the last path were joined
+    failures: Counter[str] = field(default_factory=Counter)  # of rollouts, by reason
+
+    @property
+    def failed(self) -> str:
+        """How many rollouts failed, and why."""
+        count, of = self.failures.total(), self.settings.rollouts
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.failures.items()))
+        return f"{'all ' if count == of else ''}{count} of {of} rollouts failed: {reasons}"
 
     def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
         """The path through one rollout, or None."""
         rollout = self._rollout(start, goal)
-        return None if rollout is None else self._path(rollout)
+        failure = rollout if isinstance(rollout, str) else "with a pair not joined"
+        path = None if isinstance(rollout, str) else self._path(rollout)
+        if path is None:
+            self.failures["cut short by the budget" if self.query.deadline.spent() else failure] += 1
+        return path
 
-    def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | None:
-        """Let both sides grow in turn until a direct motion joins them."""
+    def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | str:
+        """Let both sides grow in turn until they meet; or why there is no rollout."""
+        robot, settings, space = self.query.space.robot, self.settings, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
-        joint = None
-        for turn in range(self.settings.predictions):
-            growing, other = sides[turn % 2], sides[1 - turn % 2]
-            state = self._next_state(growing[-1], other[-1])
-            if state is None:
-                return None
-            growing.append(state)
+        told = [_normalised(robot, start), _normalised(robot, goal)]  # the last state of each side in [-1, 1]
+        met, joint = False, None
+        for turn in range(settings.predictions):
+            side = turn % 2
+            found = self._next_state(told[side], told[1 - side])
+            if found is None:
+                return "without a free state"
+            state, proposed = found
+            sides[side].append(state)
+            told[side] = proposed if settings.unprojected else _normalised(robot, state)
             self.vertices += 1
-            joint = direct_motion(self.query.space, sides[0][-1], sides[1][-1])
-            if joint is not None:
+            ends = sides[0][-1], sides[1][-1]
+            if not settings.straight or line_free(space, *ends):
+                joint = direct_motion(space, *ends)
+                met = settings.straight or joint is not None
+            if met:
                 break
-        if joint is None and not self.settings.bridge:
-            return None
-        return Rollout(np.array(sides[0] + sides[1][::-1]), len(sides[0]) - 1, joint)
+        if not (met or settings.bridge):
+            return "whose sides did not meet"
+        return Rollout(np.array(sides[0] + sides[1][::-1]), len(sides[0]) - 1, met, joint)
 
-    def _next_state(self, current: np.ndarray, towards: np.ndarray) -> np.ndarray | None:
-        """The first proposal that is free once clipped and projected, or None when attempts or budget are used up."""
+    def _next_state(self, current: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """The first proposal from current to towards (n,) in [-1, 1] that is free once clipped and projected.
+
+        Returns the state (n,) [rad or m] and the clipped proposal (n,); None when attempts or budget are used up.
+        """
         robot, settings = self.query.space.robot, self.settings
         dropout = self.query.rng if settings.dropout else None
         for _ in range(settings.attempts if settings.dropout else 1):
@@ -214,24 +250,28 @@ class _Run:
                 return None
             self.query.deadline.count()
             began = time.perf_counter()
-            proposed = self.network.propose(
-                _normalised(robot, current), _normalised(robot, towards), self.code, dropout
-            )
-            q = _radians(robot, proposed)
+            proposed = self.network.propose(current, towards, self.code, dropout)
+            clipped = np.clip(proposed, -1.0, 1.0).astype(float)
+            q = _radians(robot, clipped)
             self.predict_seconds += time.perf_counter() - began
             if self.query.space.project(q) and self.query.space.valid(q):
-                return q
+                return q, clipped
         return None
 
     def _path(self, rollout: Rollout) -> JointPath | None:
         """Join every two neighbouring states, directly or by tree growth; None as soon as one pair fails."""
-        motions = []
+        motions, grown = [], 0
         for i, (a, b) in enumerate(pairwise(rollout.states)):
             motion = rollout.joint if i == rollout.meeting else direct_motion(self.query.space, a, b)
-            motion = motion or self._grown(a, b)
+            if motion is None:
+                motion = self._grown(a, b)
+                grown += 1
             if motion is None:
                 return None
             motions.append(motion.states if i == 0 else motion.states[1:])
+        trees = f"{grown} of {len(motions)} pairs joined by tree growth"
+        bridge = "" if rollout.met else ", one a bridge between sides that did not meet"
+        self.joined = f"{BY_ROLLOUTS} and trees: {trees}{bridge}" if grown else ROLLOUTS_ALONE
         return JointPath(np.concatenate(motions))
 
     def _grown(self, a: np.ndarray, b: np.ndarray) -> JointPath | None:
@@ -244,11 +284,16 @@ class _Run:
         return result.path
 
 
+def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether `LINE_STATES` states evenly on the straight joint line from a to b (n,) are free, constraint or not."""
+    return all(space.valid(q) for q in np.linspace(a, b, LINE_STATES))
+
+
 def _normalised(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Configuration q (n,) [rad or m] in [-1, 1]."""
     return 2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0
 
 
 def _radians(robot: Robot, u: np.ndarray) -> np.ndarray:
-    """Configuration (n,) [rad or m] of u (n,), clipped to [-1, 1]."""
-    return robot.lower + 0.5 * (np.clip(u, -1.0, 1.0).astype(float) + 1.0) * (robot.upper - robot.lower)
+    """Configuration (n,) [rad or m] of u (n,) in [-1, 1]."""
+    return robot.lower + 0.5 * (u + 1.0) * (robot.upper - robot.lower)

@@ -31,7 +31,7 @@ from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
-from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
+from cvqmpt_lab.vqmpt.mpnet_rollouts import BRIDGED, MPNetRollouts, MPNetSettings
 from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, Prediction, Predictor, PredictorSettings
 from cvqmpt_lab.vqmpt.sampler import CodeProposal, CodeRoadmap, PredictedSequences
 from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, StoredModel, read_model, resolve_model
@@ -263,11 +263,13 @@ def true_codes(robot: Robot, model: str) -> Stages:
     return Stages(predict=UnconstrainedPath(suggest))
 
 
-def mpnet(robot: Robot, model: str) -> Stages:
-    """MPNet's rollouts."""
-    return Stages(predict=_rollouts(model), observe=observer(model_of(model, MPNET).config.n_points))
+def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
+    """MPNet's rollouts as published; bridged: whatever rollouts leave open is joined by tree growth."""
+    settings = BRIDGED if bridged else MPNetSettings()
+    points = model_of(model, MPNET).config.n_points
+    return Stages(predict=_rollouts(model, settings), observe=observer(points))
 
 
 @lru_cache(maxsize=4)
-def _rollouts(model: str) -> MPNetRollouts:
-    return MPNetRollouts(model_of(model, MPNET))
+def _rollouts(model: str, settings: MPNetSettings) -> MPNetRollouts:
+    return MPNetRollouts(model_of(model, MPNET), settings)

@@ -26,7 +26,11 @@ from cvqmpt_lab.search.query import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings, StateCheck
 
-LENIENT = ("atlas-rrt", "tb-rrt")  # may run out of time
+LENIENT = {  # may fail: out of time, or of rollouts
+    "atlas-rrt": PlanStatus.TIMEOUT,
+    "tb-rrt": PlanStatus.TIMEOUT,
+    "mpnet": PlanStatus.ITERATION_LIMIT,
+}
 OURS = ("birrt", "guided-birrt")
 ENOUGH = Budget(iterations=20_000)
 
@@ -52,8 +56,8 @@ def test_every_planner_solves_a_place_problem(problem, name):
     solution = solve(problem, planner_named(name), Budget(seconds=20.0), seed=1)
     result = solution.plan
     assert result.seconds < 25.0 and result.vertices > 0 and "exact checks" not in result.detail
-    if result.path is None:  # charts are no projections, and may be all that a search had time for
-        assert name in LENIENT and result.status is PlanStatus.TIMEOUT
+    if result.path is None:
+        assert result.status is LENIENT[name]
         assert solution.simplified is None and solution.certificate is None and not solution.solved
         return
     assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)) > 0

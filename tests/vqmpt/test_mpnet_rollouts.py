@@ -1,26 +1,41 @@
 """The MPNet planner: networks as they are, and one that heads straight for the goal, on tuning environments."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
 
+from cvqmpt_lab import pipeline
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
+from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
+from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, MPNetSettings
+from cvqmpt_lab.vqmpt.mpnet_rollouts import (
+    BRIDGED,
+    LINE_STATES,
+    MPNetNetwork,
+    MPNetRollouts,
+    MPNetSettings,
+    line_free,
+)
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)
 ENOUGH = Budget(iterations=20_000)
 COPIES = 10
+PUBLISHED = MPNetSettings()
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +88,10 @@ def cloud_of(scene):
     return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
 
 
-def mpnet_of(robot, network=None, observe=cloud_of, **settings):
+def mpnet_of(robot, network=None, observe=cloud_of, settings=PUBLISHED):
     """A method whose rollouts are those of a network."""
     checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
-    rollouts = MPNetRollouts(stored(checkpoint), MPNetSettings(**settings))
+    rollouts = MPNetRollouts(stored(checkpoint), settings)
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
@@ -127,38 +142,124 @@ def test_points_are_drawn_without_replacement_while_they_last():
 
 
 @pytest.mark.parametrize("make", [heading_network, random_network])
-def test_it_solves_a_place_problem(tuning, make):
-    solution = solve(tuning, mpnet_of(tuning.robot, make()), ENOUGH, seed=0)
+def test_bridged_rollouts_solve_a_place_problem(tuning, make):
+    method = mpnet_of(tuning.robot, make(), settings=BRIDGED)
+    solution = solve(tuning, method, ENOUGH, seed=0)
     assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
     np.testing.assert_array_equal(solution.plan.path.states[0], tuning.start)
     assert (tuning.goals == solution.plan.path.states[-1]).all(axis=1).any()
+    assert solution.plan.detail.startswith(BY_ROLLOUTS)
+    assert states_hash(plan(tuning, method).path.states) == states_hash(solution.plan.path.states)
+
+
+def test_published_rollouts_end_at_the_nearest_goal(tuning):
+    solution = solve(tuning, mpnet_of(tuning.robot), ENOUGH, seed=0)
+    nearest = min(tuning.goals, key=lambda goal: np.linalg.norm(goal - tuning.start))
+    assert solution.certificate.reasons == ()
+    np.testing.assert_array_equal(solution.plan.path.states[-1], nearest)
 
 
 @pytest.mark.parametrize("limit", [1, 7, 60])
-def test_iterations_stay_within_the_budget(tuning, limit):
-    result = plan(tuning, mpnet_of(tuning.robot), Budget(iterations=limit))
+@pytest.mark.parametrize("settings", [PUBLISHED, BRIDGED])
+def test_iterations_stay_within_the_budget(tuning, settings, limit):
+    result = plan(tuning, mpnet_of(tuning.robot, settings=settings), Budget(iterations=limit))
     assert result.counters.iterations <= limit
     assert result.path is not None or result.status is PlanStatus.ITERATION_LIMIT
 
 
+def test_a_budget_that_ends_between_rollouts_is_named(tuning):
+    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning)), Budget(iterations=40))
+    assert result.path is None and result.status is PlanStatus.ITERATION_LIMIT
+    expected = "2 of 10 rollouts failed: 1 cut short by the budget, 1 without a free state"
+    assert (result.counters.iterations, result.detail) == (40, expected)
+
+
 def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
-    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6))
-    assert result.status is PlanStatus.ITERATION_LIMIT and result.detail == "all 3 rollouts failed"
+    settings = MPNetSettings(rollouts=3, attempts=6)
+    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), settings=settings))
+    assert result.status is PlanStatus.ITERATION_LIMIT
+    assert result.detail == "all 3 of 3 rollouts failed: 3 without a free state"
     assert result.counters.iterations == 3 * 6
 
 
-def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
-    settings = {"predictions": 1, "rollouts": 1, "share": 1.0}
-    solved = {}
-    for bridge in (True, False):
-        short = mpnet_of(tuning.robot, heading_network(share=0.1), bridge=bridge, **settings)
-        solved[bridge] = plan(tuning, short).path is not None
-    assert solved == {True: True, False: False}
+@dataclass(frozen=True)
+class RecordedBiRRT(BiRRT):
+    """Tree growth that keeps what it was asked."""
+
+    asked: ClassVar[list] = []
+
+    def search(self, space, start, goals, distribution, budget, rng):
+        self.asked.append((start, goals, distribution, budget))
+        return super().search(space, start, goals, distribution, budget, rng)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What trees were grown for, and by whom: between states of rollouts, and by the search after them."""
+    monkeypatch.setattr(RecordedBiRRT, "asked", [])
+    monkeypatch.setattr(mpnet_rollouts, "BiRRT", RecordedBiRRT)
+    monkeypatch.setattr(pipeline, "BiRRT", RecordedBiRRT)
+    return RecordedBiRRT.asked
+
+
+def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, asked):
+    few = {"predictions": 1, "rollouts": 1, "share": 1.0}
+    short = heading_network(share=0.1)
+    published = plan(tuning, mpnet_of(tuning.robot, short, settings=replace(PUBLISHED, **few)))
+    assert published.path is None and asked == []
+    assert published.detail == "all 1 of 1 rollouts failed: 1 whose sides did not meet"
+    bridged = plan(tuning, mpnet_of(tuning.robot, short, settings=replace(BRIDGED, **few)))
+    assert bridged.path is not None and len(asked) >= 1 and "a bridge" in bridged.detail
+
+
+def test_trees_grow_between_neighbours_of_a_rollout_alone_and_within_their_share(tuning, asked, monkeypatch):
+    rollouts, join = [], mpnet_rollouts._Run._path
+    keep = lambda run, rollout: rollouts.append(rollout.states) or join(run, rollout)  # noqa: E731
+    monkeypatch.setattr(mpnet_rollouts._Run, "_path", keep)
+    total = 0
+    for seed in range(4):
+        rollouts.clear()
+        asked.clear()
+        result = plan(tuning, mpnet_of(tuning.robot), ENOUGH, seed)
+        pairs = {(a.tobytes(), b.tobytes()) for states in rollouts for a, b in pairwise(states)}
+        for start, goals, distribution, budget in asked:
+            assert goals.shape == (1, 7) and (start.tobytes(), goals[0].tobytes()) in pairs
+            assert distribution.name == "uniform" and budget.iterations <= 0.1 * ENOUGH.iterations
+        if result.path is not None and len(rollouts) == 1:
+            trees = f"{BY_ROLLOUTS} and trees: {len(asked)} of {len(pairs)} pairs joined by tree growth"
+            assert result.detail == (trees if asked else ROLLOUTS_ALONE)
+        total += len(asked)
+    assert total > 0
+
+
+def test_rollouts_alone_need_no_tree(tuning, asked):
+    """A goal that a direct motion reaches."""
+    rng, space = np.random.default_rng(0), ConstrainedSpace(tuning)
+    while True:
+        near = tuning.start + rng.normal(scale=0.05, size=7)
+        if space.project(near) and space.valid(near):
+            break
+    easy = replace(tuning, goals=near[None], goal_region=None)
+    result = plan(easy, mpnet_of(easy.robot))
+    assert result.detail == ROLLOUTS_ALONE and asked == []
+    assert result.counters.state_checks >= LINE_STATES and result.counters.projections > 0
+
+
+def test_a_straight_line_is_checked_for_collision_alone(tuning):
+    space = ConstrainedSpace(tuning)
+    off = tuning.start.copy()
+    off[6] += 0.3  # turns the hand: off the manifold
+    assert space.valid(off) and np.linalg.norm(tuning.manifold.residual(off)) > 0.01
+    assert line_free(space, tuning.start, off)
+    assert space.counters.projections == 0 and space.counters.state_checks == 1 + LINE_STATES
+    blocked = stuck_network(tuning).out.bias.detach().numpy()
+    lower, upper = tuning.robot.lower, tuning.robot.upper
+    assert not line_free(space, tuning.start, lower + 0.5 * (blocked + 1.0) * (upper - lower))
 
 
 def test_bad_input_is_named(tuning):
     with pytest.raises(InvalidInputError, match="0 points"):
         plan(tuning, mpnet_of(tuning.robot, random_network(), lambda scene: np.empty((0, 3))))
-    for name, value in (("rollouts", 0), ("attempts", 0), ("share", 0.0), ("share", 1.5)):
+    for name, value in (("rollouts", 0), ("attempts", 0), ("goals", 0), ("share", 0.0), ("share", 1.5)):
         with pytest.raises(InvalidInputError, match=name):
             MPNetSettings(**{name: value})
