@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
-from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow
 from paper_tables import table_engine as table
 from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import (
@@ -33,6 +33,11 @@ def _within(time: float, row: ResultRow) -> bool:
     return row.solved and row.t_total_s is not None and row.t_total_s <= time
 
 
+def _said(row: ResultRow, how: str) -> bool:
+    """Whether a solved run's detail begins so."""
+    return row.solved and (row.detail or "").startswith(how)
+
+
 def split_metric(ratio: str, part: str) -> str:
     """Name of a ratio's column on a part of the problems."""
     return f"{ratio}_{part}_of_{REFERENCE}"
@@ -54,6 +59,9 @@ EFFORT = {
     "state_checks_median": Column("state checks", "1", median_of("state_checks")),
     "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
     "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
+}
+ROLLOUTS = {  # only where a planner joins states of rollouts
+    "rollouts_alone": Column("by rollouts alone [%]", "%", share_of(lambda row: _said(row, ROLLOUTS_ALONE))),
 }
 PAPER_COST = {
     "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
@@ -133,7 +141,10 @@ def place_task_table(
     sensed: the scenes were scanned: map and truth come first, and the sentences are those on the paper's robot.
     """
     runs = table.suite_runs(rows, published)
-    found = table.entries(runs, {**COLUMNS, **SENSED} if sensed else COLUMNS, published)
+    rolled = {name for name, own in runs.groups.items() if any(_said(row, BY_ROLLOUTS) for row in own)}
+    columns = {**COLUMNS, **(SENSED if sensed else {}), **(ROLLOUTS if rolled else {})}
+    found = table.entries(runs, columns, published)
+    rollouts = [item for item in found if item.planner in rolled]
     said = statement_lines(judged(ABOUT_SENSOR if sensed else ABOUT_PLACE_TASK, runs.rows, published))
     curve = list(CURVE)[
         : sum(time < max(row.t_total_s or 0.0 for row in runs.rows) for time in CURVE_TIMES) + 1
@@ -146,6 +157,9 @@ def place_task_table(
         f"{problems} problems": _headline_lines(found, len(runs.joint)),
         "What the paper says": said if published and not sensed else [],
         "Effort (medians)": table.column_lines(found, EFFORT),
+        "Solved by rollouts alone, no tree grown between their states": (
+            table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
+        ),
         "At the paper's cost of work": table.column_lines(found, PAPER_COST),
         f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
         "Solved within a time, % of runs": table.column_lines(found, curve),

@@ -72,3 +72,18 @@ def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
 def test_a_table_is_of_one_suite(rows):
     with pytest.raises(InvalidInputError, match="one suite"):
         place_task_table(rows, PAPER)
+
+
+def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():
+    title = "Solved by rollouts alone"
+    assert title not in place_task_table(some_rows(), PAPER).markdown
+    trees = "solved by rollouts and trees: 1 of 3 pairs joined by tree growth"
+    details = ["solved by rollouts alone", trees, trees, "solved by rollouts alone; exact checks near start"]
+    rows = [run("mpnet", i, 0.1, detail=text) for i, text in enumerate(details)]
+    rows.append(run("mpnet", 9, detail="all 10 of 10 rollouts failed: 10 whose sides did not meet"))
+    made = place_task_table([*some_rows(), *rows], PAPER)
+    lines = made.markdown.split(title)[1].splitlines()
+    titles = ["planner", "Accuracy", "by rollouts alone [%]"]
+    assert [cell.strip() for cell in lines[2].split("|")][1:4] == titles
+    assert lines[4].startswith("| mpnet") and "| 40.0 [" in lines[4] and lines[5] == ""
+    assert "place-task,rollouts_alone,%,mpnet,ours,40" in made.csv
