@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 from cli.options import log, positive_int, writable_file
-from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.bench.planning import BENCHES, run_bench
@@ -14,6 +14,7 @@ EXAMPLES = (
     "cvqmpt bench kernels",
     "cvqmpt bench collision --states 1000000 --json collision.json",
     "cvqmpt bench sight --problems 4",
+    "cvqmpt bench transformer --model runs/transformer",
     "cvqmpt bench planners --problems 30",
 )
 
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--states", type=positive_int, default=4000, metavar="N", help="collision: states of each kind (4000)"
     )
+    add("--model", metavar="DIR", help="transformer: weights that have one (the shipped VQ-MPT)")
     add("--json", type=Path, metavar="F", help="write the figures as json too")
 
 
@@ -33,10 +35,12 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
     if args.bench not in BENCHES:
         raise UnknownChoiceError("bench", args.bench, BENCHES)
+    if args.model is not None and args.bench != "transformer":
+        raise InvalidInputError("--model is for bench transformer; leave it out")
     if args.json:
         writable_file(args.json)
     compile_kernels(log)
-    figures = run_bench(args.bench, args.problems, args.states)
+    figures = run_bench(args.bench, args.problems, args.states, args.model)
     width = max(len(figure.name) for figure in figures)
     for figure in figures:
         spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""

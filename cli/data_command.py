@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cli.options import ProgressBar, log, own_command, positive_int
 from cli.robot_options import add_robot, robot_source
-from cvqmpt_lab.errors import CvqmptError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
@@ -19,6 +19,7 @@ EXAMPLES = (
     "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
     "cvqmpt data generate --robot ur5 --scenes 1000 --paths-per-scene 50 --out data/ur5",
     "cvqmpt data generate --labels roadmap --scenes 20000 --out data/roadmap",
+    "cvqmpt data generate --labels roadmap --robot ur5 --dictionary runs/ur5 --scenes 4000 --out data/ur5-roadmap",
     "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
 )
 ACTIONS = ("generate",)
@@ -36,6 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--family", default=",".join(FAMILIES), metavar="A,B", help=family)
     labels = "near-shortest paths, or free nodes and edges of the dictionary, and shortest paths (paths)"
     add("--labels", default="paths", help=f"{' or '.join(LABELS)}: {labels}")
+    dictionary = (
+        "labels roadmap: --out of `cvqmpt train stage1`, whose roadmap is labelled (the shipped VQ-MPT)"
+    )
+    add("--dictionary", metavar="DIR", help=dictionary)
     add("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
     add("--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)")
     add("--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists")
@@ -49,7 +54,12 @@ def run(args: argparse.Namespace) -> int:
     families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
     if args.labels not in LABELS:
         raise UnknownChoiceError("kind of labels", args.labels, LABELS)
-    recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, robot=robot)
+    more = {}
+    if args.dictionary is not None:
+        if args.labels != "roadmap":
+            raise InvalidInputError("--dictionary is for --labels roadmap; leave it out")
+        more["model"] = args.dictionary
+    recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, robot=robot, **more)
     compile_kernels(log)
 
     def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:

@@ -16,6 +16,7 @@ EDGE_MODEL = ("edge-model", "sight")  # the second is its earlier name
 ENOUGH_SCENES = 400  # for the edge validity model
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
+    "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out runs/ur5-transformer",
     "cvqmpt train edge-model --data data/roadmap --out runs/edges",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--dictionary",
         type=Path,
         metavar="DIR",
-        help="stage2 (of the authors' architecture): --out of stage1",
+        help="stage2 (of the authors' architecture) and transformer (the shipped): --out of stage1",
     )
     add("--model", metavar="DIR", help="edge-model: weights that get it (the shipped VQ-MPT)")
     most = f"edge-model: learn from so many at most ({ENOUGH_SCENES})"

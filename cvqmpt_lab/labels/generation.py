@@ -68,6 +68,9 @@ class SceneRecipe(ABC):
     def prepare(self, out: Path) -> None:  # noqa: B027 (nothing for most)
         """Write what shards have in common."""
 
+    def check(self) -> None:  # noqa: B027 (nothing for most)
+        """Raise InvalidInputError, before anything is written, where labels cannot be made."""
+
     @abstractmethod
     def shard(self, number: int) -> Shard:
         """One shard; it depends on the recipe and its number alone."""
@@ -89,6 +92,7 @@ def generate(
     apply: calls a function with every number and gives its results in any order; one after the other by default.
     InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or cannot be written.
     """
+    recipe.check()
     make_folder(out / SHARDS_FOLDER)
     with locked(out):
         _describe(recipe, out, command)

@@ -30,12 +30,14 @@ from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
 from cvqmpt_lab.vqmpt.sampler import links_of, nearest_rows
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
+from cvqmpt_lab.vqmpt.weights import OtherRobotError
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
 LINKS = 20  # nodes that each is linked to
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
+LONG = 5.0  # [rad] edges longer than that may take more of them
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,18 @@ class RoadmapRecipe(SceneRecipe):
 
     labels: str = field(default="roadmap", init=False)
     model: str | None = None  # name or folder of the dictionary's weights; None for the shipped
+
+    def check(self) -> None:
+        """Refuse a robot that the dictionary is not of."""
+        robot = robot_from_source(self.robot)
+        try:
+            _graph(self.model, robot)
+        except OtherRobotError as error:
+            raise InvalidInputError(
+                f"labels on a roadmap need a dictionary of {robot.name}, which {self.model or 'the shipped one'} is "
+                f"not; train one: cvqmpt data generate --robot {robot.name} --out DATA, cvqmpt train stage1 "
+                "--data DATA --out DIR; then give --dictionary DIR"
+            ) from error
 
     def prepare(self, out: Path) -> None:
         """Write the roadmap, or check that it is the one that is there."""
@@ -63,7 +77,8 @@ class RoadmapRecipe(SceneRecipe):
                 scenes.append((family, scene_number, scene))
         if not labels:
             raise InvalidInputError(
-                f"every scene of shard {number} has a wall millimetres from the base; give other --scenes or --seed"
+                f"every scene of shard {number} has a wall millimetres from the base, or the dictionary was trained "
+                "too briefly (its codes are far apart); give other --scenes or --seed, or train it longer"
             )
         arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
         paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
@@ -125,7 +140,10 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     edges = links_of(roadmap).edges
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges)
-    assert checked is not None  # nothing is near
+    if checked is None:  # although nothing is near
+        raise InvalidInputError(
+            "the dictionary's codes are far apart: it was trained too briefly; train it longer"
+        )
     own_node, own_edge = checked
     return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge, *body_points(robot))
 
@@ -160,7 +178,9 @@ def verdicts(
     """
     node_free = np.zeros(len(nodes), dtype=bool)
     edge_free = np.ones(len(edges), dtype=bool) if possible is None else possible.copy()
-    arrays, most = space.arrays._replace(margin=MARGIN), CHECKS * len(edges)
+    lengths = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
+    arrays = space.arrays._replace(margin=MARGIN)
+    most = int(CHECKS * np.maximum(1.0, lengths / LONG).sum())
     done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, most)
     return (node_free, edge_free) if done else None
 

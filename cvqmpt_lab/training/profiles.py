@@ -160,6 +160,20 @@ def _smoke() -> Profile:
         ),
         stage2=Stage2Settings(epochs=3, batches=batches, optimizer=quick),
         mpnet=replace(_compact().mpnet, epochs=3, batches=replace(batches, spacing=0.5)),
+        transformer_model=sizes.SceneTransformerSizes(
+            width=32, layers=2, heads=2, groups=32, group_size=8, values=4, edge_width=16, links=12
+        ),
+        transformer=TransformerSettings(
+            epochs=2,
+            batches_per_epoch=30,
+            scenes=2,
+            paths=24,
+            goals=6,
+            cloud=cloud,
+            validation_scenes=4,
+            precision="float32",
+            optimizer=quick,
+        ),
     )
 
 

@@ -159,11 +159,16 @@ class TransformerStage(Stage):
         InvalidInputError: the dictionary is of another robot, or the labels are few or without kinematics.
         """
         super().__init__(settings.optimizer, seed, device)
-        dictionary.robot.require_same(dataset.robot)
+        graph, codes = dataset.graph, dictionary.config.dictionary.n_codes
+        if dictionary.robot.differences(dataset.robot) or len(graph.nodes) != codes:
+            raise InvalidInputError(
+                f"{dataset.folder} labels the roadmap of a dictionary of robot {dataset.robot.name!r} with "
+                f"{len(graph.nodes)} codes, but this one is of {dictionary.robot.name!r} with {codes}; give "
+                "--dictionary DIR, the same as to cvqmpt data generate"
+            )
         if dataset.chain is None:
             raise InvalidInputError(f"{dataset.folder} has no kinematics; generate its labels again")
         self.dataset, self.dictionary, self.settings = dataset, dictionary, settings
-        graph = dataset.graph
         body = replace(dataset.chain, points=tuple(graph.body_joint.tolist()), offsets=graph.body_offset)
         self.config = SceneTransformerConfig(
             lower=dataset.robot.lower,

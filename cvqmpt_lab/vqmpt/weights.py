@@ -66,15 +66,17 @@ class RobotSignature:
 
     def require_same(self, other: "RobotSignature") -> None:
         """Raise OtherRobotError, which names the differences, unless `other` is this robot."""
-        differences = self._differences(other)
+        differences = self.differences(other)
         if differences:
             name = "this one" if self.name == other.name else repr(other.name)
             raise OtherRobotError(
                 f"weights are for robot {self.name!r}, not {name}: {'; '.join(differences)}; "
-                "choose weights trained for it"
+                f"choose weights trained for it, or train some: cvqmpt data generate --robot {other.name} --out "
+                "DATA, then cvqmpt train stage1 --data DATA --out DIR"
             )
 
-    def _differences(self, other: "RobotSignature") -> list[str]:
+    def differences(self, other: "RobotSignature") -> list[str]:
+        """What makes the other another robot; none for the same."""
         if len(self.lower) != len(other.lower):
             return [f"{len(self.lower)} joints, not {len(other.lower)}"]
         if self.joints and other.joints and self.joints != other.joints:

@@ -27,6 +27,7 @@ from cvqmpt_lab.vqmpt.stages import STEPS, code_roadmap
 from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.measurement import CALIBRATION, CpuTimes, Figure, Measurement, measured
 from experiments.bench.perception import bench_calibration, bench_scan, bench_sight
+from experiments.bench.scene_prediction import bench_transformer
 from experiments.bench.state_checks import bench_collision, bench_kernels
 from experiments.executors import local_processes
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
@@ -230,23 +231,24 @@ def _posed(count: int) -> list[PlanningProblem]:
     return [with_sampled_goals(problem)[0] for problem in _place_problems(count)]
 
 
-BENCHES: Mapping[str, Callable[[int, int], Iterable[Measurement]]] = {
-    "kernels": lambda problems, states: bench_kernels(_posed(1)[0]),
-    "collision": lambda problems, states: bench_collision(_posed(1)[0], states),
-    "planners": lambda problems, states: bench_planners(problems),
-    "stages": lambda problems, states: bench_stages(problems),
-    "networks": lambda problems, states: bench_networks(problems),
-    "throughput": lambda problems, states: bench_throughput(problems),
-    "growth": lambda problems, states: bench_growth(),
-    "sight": lambda problems, states: bench_sight(problems),
-    "calibration": lambda problems, states: bench_calibration(panda(), problems),
-    "unconstrained": lambda problems, states: bench_unconstrained(problems),
-    "scan": lambda problems, states: bench_scan(),
-    "meshes": lambda problems, states: bench_meshes(),
+BENCHES: Mapping[str, Callable[[int, int, str | None], Iterable[Measurement]]] = {
+    "kernels": lambda problems, states, model: bench_kernels(_posed(1)[0]),
+    "collision": lambda problems, states, model: bench_collision(_posed(1)[0], states),
+    "planners": lambda problems, states, model: bench_planners(problems),
+    "stages": lambda problems, states, model: bench_stages(problems),
+    "networks": lambda problems, states, model: bench_networks(problems),
+    "transformer": lambda problems, states, model: bench_transformer(problems, model),
+    "throughput": lambda problems, states, model: bench_throughput(problems),
+    "growth": lambda problems, states, model: bench_growth(),
+    "sight": lambda problems, states, model: bench_sight(problems),
+    "calibration": lambda problems, states, model: bench_calibration(panda(), problems),
+    "unconstrained": lambda problems, states, model: bench_unconstrained(problems),
+    "scan": lambda problems, states, model: bench_scan(),
+    "meshes": lambda problems, states, model: bench_meshes(),
 }
-"""What is measured, by name; of so many problems or scenes, and states."""
+"""What is measured, by name; of so many problems or scenes, and states, and of which model."""
 
 
-def run_bench(name: str, problems: int, states: int) -> list[Figure]:
+def run_bench(name: str, problems: int, states: int, model: str | None = None) -> list[Figure]:
     """The figures of a bench, a fixed loop first, which compares machines and moments."""
-    return [measured(CALIBRATION), *map(measured, BENCHES[name](problems, states))]
+    return [measured(CALIBRATION), *map(measured, BENCHES[name](problems, states, model))]
