@@ -37,7 +37,9 @@ LINKS = 20  # nodes that each is linked to
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
-LONG = 5.0  # [rad] edges longer than that may take more of them
+LINK_CHECKS = (
+    600  # likewise a link: near self-collision it needs more than an edge that the robot itself allows
+)
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,7 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     """Nodes and undirected edges of a roadmap, and which of them the robot itself allows."""
     edges = links_of(roadmap).edges
     space = unconstrained_space(robot, Scene("nothing", ()))
-    checked = verdicts(space, roadmap.nodes, edges)
+    checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
     if checked is None:  # although nothing is near
         raise InvalidInputError(
             "the dictionary's codes are far apart: it was trained too briefly; train it longer"
@@ -170,19 +172,30 @@ def body_points(robot: Robot, count: int = BODY_POINTS) -> tuple[np.ndarray, np.
 
 
 def verdicts(
-    space: ConstrainedSpace, nodes: np.ndarray, edges: np.ndarray, possible: np.ndarray | None = None
+    space: ConstrainedSpace,
+    nodes: np.ndarray,
+    edges: np.ndarray,
+    possible: np.ndarray | None = None,
+    checks: int = CHECKS,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Whether nodes (N, n) and edges (E, 2) keep MARGIN, (N,) and (E,) bool, or None after too many CHECKS.
+    """Whether nodes (N, n) and edges (E, 2) keep MARGIN, (N,) and (E,) bool, or None after too many checks.
 
     possible: edges (E,) that may; others are not checked.
     """
     node_free = np.zeros(len(nodes), dtype=bool)
     edge_free = np.ones(len(edges), dtype=bool) if possible is None else possible.copy()
-    lengths = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
-    arrays = space.arrays._replace(margin=MARGIN)
-    most = int(CHECKS * np.maximum(1.0, lengths / LONG).sum())
+    arrays, most = space.arrays._replace(margin=MARGIN), checks * len(edges)
     done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, most)
     return (node_free, edge_free) if done else None
+
+
+@lru_cache(maxsize=1)
+def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
+    """State checks an edge that a scene may take: CHECKS, or more where already an empty scene takes more."""
+    space, checks = unconstrained_space(robot, Scene("nothing", ())), CHECKS
+    while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
+        checks *= 4
+    return checks
 
 
 def roadmap_labels(
@@ -194,7 +207,8 @@ def roadmap_labels(
     Arrays are as in `training.shards`, but path_scene and code_start hold counts of paths and of each path's codes.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
-    checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible)
+    checks = checks_of(robot, graph)
+    checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks)
     if checked is None:
         return None
     node_free, edge_free = checked
@@ -204,7 +218,7 @@ def roadmap_labels(
     nodes, count = np.concatenate([graph.nodes, ends]), len(graph.nodes)
     of_end = np.repeat(count + np.arange(len(ends)), LINKS)
     links = np.stack([of_end, nearest_rows(graph.nodes, ends, LINKS).ravel()], axis=1).astype(np.int32)
-    linked = verdicts(space, nodes, links)
+    linked = verdicts(space, nodes, links, checks=LINK_CHECKS)
     if linked is None:
         return None
     cost, before = _shortest_paths(nodes, graph.edges[edge_free], links[linked[1]], count)

@@ -1,3 +1,4 @@
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -86,7 +87,7 @@ def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(
 
 def test_labels_of_another_dictionary_are_not_continued(tiny, tmp_path):
     graph = RoadmapGraph.read(tiny)
-    other = RoadmapGraph(graph.nodes + 0.1, graph.edges, graph.node_possible, graph.edge_possible)
+    other = dataclasses.replace(graph, nodes=graph.nodes + 0.1)
     other.write(tmp_path)
     with pytest.raises(InvalidInputError, match="another dictionary"):
         make(tmp_path)

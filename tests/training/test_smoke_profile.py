@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
-from cvqmpt_lab.vqmpt.weights import robot_signature
+from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
+from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
 
 ROBOTS = ["--family kitchen-like", "--robot tiago-no-hand --base 0,0,-0.6 --family shelves"]
 
@@ -34,3 +37,64 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     mixture = predictor.mixture(prediction)
     assert len(prediction.sequences[0].codes) > 0
     assert np.isfinite(mixture.sample(rng, 100)).all()
+
+
+def test_a_scene_transformer_for_another_arm(tmp_path, request):
+    """For a UR5, from nothing: dictionary, labels on its roadmap, transformer, sequences; a minute and a half."""
+    if not request.config.getoption("--long"):
+        pytest.skip("needs --long")
+    data, words, labels, out = (tmp_path / name for name in ("data", "words", "labels", "out"))
+    profile = to_plain(PROFILES["compact"], complete=True)
+    profile["model"]["dictionary"]["n_codes"] = 256
+    profile["stage1"] |= {"batch": 8, "restart_epochs": 3}
+    profile["stage1"]["optimizer"]["warmup"] = 20
+    (tmp_path / "tiny.json").write_text(json.dumps(profile))
+    scenes = ["--robot", "ur5-limited", "--family", "table,shelves", "--scenes", "8", "--jobs", "1"]
+    tiny = ["--config", str(tmp_path / "tiny.json"), "--epochs", "4", "--device", "cpu"]
+    smoke = ["--profile", "smoke", "--epochs", "1", "--device", "cpu"]
+    for command in (
+        ["data", "generate", *scenes, "--paths-per-scene", "20", "--out", str(data)],
+        ["train", "stage1", *tiny, "--data", str(data), "--out", str(words)],
+        [
+            "data",
+            "generate",
+            "--labels",
+            "roadmap",
+            *scenes,
+            "--dictionary",
+            str(words),
+            "--out",
+            str(labels),
+        ],
+        [
+            "train",
+            "transformer",
+            *smoke,
+            "--data",
+            str(labels),
+            "--dictionary",
+            str(words),
+            "--out",
+            str(out),
+        ],
+    ):
+        assert main(command) == 0
+    robot = robot_from_source({"name": "ur5-limited"})
+    predictor, rng = SceneTransformerPredictor(load_vq_mpt(robot, out), robot), np.random.default_rng(0)
+    scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
+    start, *goals = robot.random_configurations(rng, 4)
+    found = predictor.sequences(scene, start, np.array(goals))
+    assert all(one.finished and len(one.codes) > 0 for one in found)
+
+
+def test_hints_for_another_arm_lead_to_a_transformer(tmp_path, capsys):
+    """Each refusal names the command before it in the chain, with the options that are missing."""
+    ur5 = ["--robot", "ur5", "--scenes", "4"]
+    assert main(["data", "generate", "--labels", "roadmap", *ur5, "--out", str(tmp_path / "labels")]) == 2
+    assert not (tmp_path / "labels").exists()
+    said = capsys.readouterr().err
+    assert "train stage1 --data DATA --out DIR; then give --dictionary DIR" in said and "--robot ur5" in said
+    assert main(["data", "generate", *ur5, "--dictionary", "d", "--out", str(tmp_path / "paths")]) == 2
+    assert "--dictionary is for --labels roadmap" in capsys.readouterr().err
+    assert main(["plan", "robots-ur5", "--planner", "cvq-mpt"]) == 2
+    assert "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1" in capsys.readouterr().err
