@@ -39,6 +39,7 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     assert np.isfinite(mixture.sample(rng, 100)).all()
 
 
+@pytest.mark.slow
 def test_a_scene_transformer_for_another_arm(tmp_path, request):
     """For a UR5, from nothing: dictionary, labels on its roadmap, transformer, sequences; a minute and a half."""
     if not request.config.getoption("--long"):

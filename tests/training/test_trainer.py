@@ -171,7 +171,7 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
     done = subprocess.run(words, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("model in") == 1, "both processes reported"
-    stage = profile.stage("mpnet", open_dataset(data), None, 0, torch.device("cpu"))
+    stage = profile.stage("mpnet", data, None, 0, torch.device("cpu"))
     torch.manual_seed(0)
     optimizer = stage.optimizer.build(stage.module)
     for number in range(2):
