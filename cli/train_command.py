@@ -55,8 +55,8 @@ def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
     if args.stage == "sequences":
         raise InvalidInputError(
-            "train sequences was removed: cvq-mpt searches its sequences by Dijkstra's algorithm on the edge costs of "
-            "`cvqmpt train edge-model`"
+            "train sequences was removed: cvq-mpt predicts by the transformer of `cvqmpt train transformer`, graph-cvq "
+            "by Dijkstra's algorithm on the edge costs of `cvqmpt train edge-model`"
         )
     profile = _profile(args)
     if args.print_config:

@@ -16,6 +16,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
 from cvqmpt_lab.search.query import Stages
 from cvqmpt_lab.sensing.observation import Observer
+from cvqmpt_lab.vqmpt.sampler_choice import NAMED, PREFIX, SamplerChoice
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,7 @@ class Method:
         False  # of the manifold, which exist where joints are more than the constraint's bounded rows
     )
     model: str | None = None  # name or folder of its weights; None for the shipped ones
+    sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
@@ -96,8 +98,9 @@ def _learned(planner: str, builder: str, weights: str = "vq_mpt", **options: Any
     return Method(planner, build, weights)
 
 
-def _sequences(name: str, **options: Any) -> Method:
-    return _learned(name, "sequences", name=name, **options)
+def _product(name: str, choice: SamplerChoice) -> Method:
+    """A learned sampler under the paper's search."""
+    return replace(_learned(name, "learned", name=name, choice=choice), sampler=choice)
 
 
 def _straight_line(name: str, uniform_share: float) -> Method:
@@ -115,33 +118,40 @@ PLANNERS = _by_name(
     _ompl("tb-rrt", "tangent-bundle"),
     _learned("mpnet", "mpnet", weights="mpnet"),  # the paper's MPNet (w/ proj)
     _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),  # trees join its sides too
-    _sequences("cvq-mpt"),
-    _sequences("opt-cvq-mpt", project_first=True),
+    *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
     _learned("roadmap-cvq", "roadmap_path"),
 )
 
+ISOLATED = {
+    "true-codes": "oracle+wide",
+    "random-codes": "random+wide",
+    "cvq-wrong-cloud": "transformer+decoded+other-cloud",
+    "cvq-no-cloud": "transformer+decoded+no-cloud",
+    "cvq-uniform": "transformer+decoded+uniform=0.15",
+}
+"""Products that say what one choice is worth."""
+
 CONTROLS = _by_name(
-    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide").mixture)),
+    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide"))),
     _straight_line("straight-line", 0.15),
     _straight_line("straight-line-only", 0.0),
-    _learned("roadmap-wrong-cloud", "roadmap_path", cloud="other scene"),
-    _learned("roadmap-no-cloud", "roadmap_path", cloud="none"),
+    _learned("roadmap-wrong-cloud", "roadmap_path", cloud="other-cloud"),
+    _learned("roadmap-no-cloud", "roadmap_path", cloud="no-cloud"),
     _learned("roadmap-true-edges", "roadmap_path", oracle=True),
     Method.simple("solved-paths", predict=SolvedPaths(AroundPath("solved-paths", std=0.25))),
-    _learned("true-codes", "true_codes"),
-    _sequences("cvq-wrong-cloud", cloud="other scene"),
-    _sequences("cvq-no-cloud", cloud="none"),
-    _sequences("cvq-no-uniform", uniform_share=0.0),
-    _sequences("opt-algorithm-2", update=5),
+    *(_product(name, SamplerChoice.of(words)) for name, words in ISOLATED.items()),
 )
 
-PUBLISHED = _by_name(_learned("cvq-as-published", "published"))
-"""On imported weights of the authors' architecture alone."""
+PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
+"""On weights of the authors' architecture, imported or trained: none ship."""
 
 REMOVED = {
+    "cvq-as-published": "cvq-published",
+    "cvq-no-uniform": "cvq-mpt",
+    "opt-algorithm-2": "opt-cvq-mpt",
     "cvq-route": "roadmap-cvq",
     "opt-cvq-route": "roadmap-cvq",
-    "cvq-cheapest": "cvq-mpt",
+    "cvq-cheapest": "graph-cvq",
     "cvq-constraint-trained": "opt-cvq-mpt",
     "route-constraint-trained": "roadmap-cvq",
     "route-wrong-cloud": "roadmap-wrong-cloud",
@@ -149,7 +159,7 @@ REMOVED = {
     "route-cheapest": "roadmap-cvq",
     "roadmap-blind": "roadmap-no-cloud",
     "roadmap-sampler": "roadmap-cvq",
-    "roadmap-update": "opt-algorithm-2",
+    "roadmap-update": "opt-cvq-mpt",
 }
 """Planners and controls that are gone, and what replaces each."""
 
@@ -161,8 +171,12 @@ def planner_named(name: str, model: str | None = None) -> Method:
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
     if name in REMOVED:
         raise InvalidInputError(f"planner {name} was removed; use {REMOVED[name]}")
+    if name.startswith(PREFIX):
+        found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
     if found is None:
-        raise UnknownChoiceError("planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED])
+        raise UnknownChoiceError(
+            "planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}graph+wide, ..."]
+        )
     return found if model is None else found.with_model(model)
 
 

@@ -61,7 +61,8 @@ CASES: tuple[Case, ...] = (
             ("mpnet-bridged", (2, 5), SUITE),
             ("cvq-mpt", (2, 5), SUITE),
             ("opt-cvq-mpt", (2, 5), SUITE),
-            ("opt-algorithm-2", (5,), SUITE),  # guards the latent update, which no other planner uses
+            ("cvq-wide", (5,), SUITE),
+            ("graph-cvq", (5,), SUITE),
             ("roadmap-cvq", (2, 5, 8), SUITE),
             ("birrt", (1,), "sensor"),  # from rendered images, through filters, in a map
             ("roadmap-cvq", (1,), "sensor"),

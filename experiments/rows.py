@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -137,6 +137,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         t_improve_s=more.seconds if more else None,
         n_restarts=more.searches if more else None,
         path_length_first_rad=more.lengths[0][1] if more else None,
+        **(asdict(run.method.sampler) if run.method.sampler else {}),
     )
 
 

@@ -117,6 +117,12 @@ class ResultRow:
     t_improve_s: float | None = None
     n_restarts: int | None = None
     path_length_first_rad: float | None = None
+    # Of learned samplers: the product, see `vqmpt.sampler_choice`.
+    predictor: str | None = None
+    gaussians: str | None = None
+    update: str | None = None
+    cloud: str | None = None
+    uniform_share: float | None = None
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():

@@ -1,13 +1,12 @@
 """Proposals that need no network, the controls of learned ones: straight lines, unconstrained or solved paths."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query, SamplingDistribution
-from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.search.result import JointPath, PlanResult
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -67,18 +66,21 @@ class SolvedPaths:
 
 @dataclass(frozen=True)
 class UnconstrainedPath:
-    """What an unconstrained path suggests, which is planned and paid for first: the baseline of learned samplers."""
+    """What an unconstrained path suggests, which is planned and paid for first."""
 
-    suggest: Callable[[Query, JointPath], SamplingDistribution]
+    around: AroundPath
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Plan without the constraint, shorten, suggest."""
-        free = query.space.unconstrained()
-        found = BiRRT().search(
-            free, query.start, query.goals, query.uniform, query.deadline.budget, query.rng
-        )
-        if found.path is None:
+        """Plan without the constraint, shorten, propose."""
+        path, found = unconstrained_path(query)
+        if path is None:
             detail = "no unconstrained path"
             return Proposal(query.uniform, detail=detail, vertices=found.vertices, failure=found.status)
-        path = simplify(free, found.path, query.rng).path
-        return Proposal(self.suggest(query, path), vertices=found.vertices)
+        return Proposal(self.around.mixture(query, path), vertices=found.vertices)
+
+
+def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
+    """A path of a query without its constraint, shortened, or None; and the search that found it."""
+    free = query.space.unconstrained()
+    found = BiRRT().search(free, query.start, query.goals, query.uniform, query.deadline.budget, query.rng)
+    return None if found.path is None else simplify(free, found.path, query.rng).path, found

@@ -35,6 +35,7 @@ class Checkpoint:
     sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
     transformer: SceneTransformer | None = None
+    others: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)  # parts that are no modules
 
     @property
     def parts(self) -> dict[str, nn.Module]:
@@ -73,10 +74,11 @@ Trained = Checkpoint | MPNetCheckpoint
 
 def stored(checkpoint: Trained) -> StoredModel:
     """A checkpoint's weights as they are now, copied to plain arrays."""
-    parts = {
+    parts: dict[str, Mapping[str, np.ndarray]] = {
         name: {key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()}
         for name, module in checkpoint.parts.items()
     }
+    parts |= getattr(checkpoint, "others", {})
     return StoredModel(
         checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
     )
@@ -104,7 +106,8 @@ def as_modules(model: StoredModel) -> Checkpoint:
         for name, build in builders.items()
         if name in model.parts
     }
-    return Checkpoint(model.config, model.robot, metadata=model.metadata, **modules)
+    others = {name: arrays for name, arrays in model.parts.items() if name not in builders}
+    return Checkpoint(model.config, model.robot, metadata=model.metadata, others=others, **modules)
 
 
 @torch.inference_mode()

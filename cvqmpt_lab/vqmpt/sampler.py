@@ -5,8 +5,8 @@ decoded Gaussians N(mu_k, Sigma_k) with equal weights are the sampling distribut
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -14,8 +14,6 @@ import numpy as np
 from cvqmpt_lab.jit import entry
 from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
 from cvqmpt_lab.search.motion import distance
-from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query
-from cvqmpt_lab.search.result import Timings
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_features, sphere_cells
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
@@ -172,94 +170,36 @@ class SequenceSettings:
     entries: int = 40  # codes that the start leads to, the nearest ones
     exits: int = 20  # codes that lead to each goal, the nearest ones
     collision_weight: float = 4.0  # what -log P(free) adds to the cost of a motion [rad]
-    penalty: float = 0.5
-    """Motions at a code that is not on the manifold count 1 + penalty * |F| times their length."""
-    drift: float = 1.5  # codes that lie further from the manifold are not used [rad]
-    rounds: int = 8  # how often at most sequences are searched again because their codes were projected
-
-
-@dataclass(frozen=True, eq=False)
-class CodeProposal(Proposal):
-    """A proposal that remembers the codes it was made of."""
-
-    codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    """(c,) of all sequences, each once."""
-
-
-@dataclass(frozen=True, eq=False)
-class PredictedSequences:
-    """The codes of the cheapest sequences from start to goals as a mixture of Gaussians."""
-
-    name: str
-    roadmap_of: Callable[[Query], CodeRoadmap]  # for the query's robot and what it carries
-    covariances: np.ndarray  # (N, n, n) [rad^2] of codes, wide enough to sample from
-    settings: SequenceSettings = field(default_factory=SequenceSettings)
-    uniform_share: float = 0.15
-    project_first: bool = False  # project codes onto the manifold before sequences through them are chosen
-
-    def __call__(self, query: Query, observation: Observation) -> CodeProposal:
-        """Search sequences; the timings say what edge costs and sequences took."""
-        assert observation.cloud is not None
-        clock, began = query.deadline, query.deadline.seconds
-        roadmap = self.roadmap_of(query)
-        roadmap.edge_costs(observation.cloud, observation.use_cache)
-        encoded = clock.seconds
-        asked = CodeSequences(roadmap, observation.cloud, query, self.settings, self.project_first)
-        found = asked.cheapest()
-        for _ in range(self.settings.rounds if self.project_first else 0):
-            if not asked.project(_codes_of(found)):
-                break
-            found = asked.cheapest()
-        codes = _codes_of(found)
-        mixture = GaussianMixture.equal(
-            asked.graph.nodes[codes], self.covariances[codes], query.uniform, self.uniform_share, self.name
-        )
-        return CodeProposal(
-            mixture,
-            Timings(encode=encoded - began, predict=clock.seconds - encoded),
-            f"{len(found)} sequences of {len(codes)} codes",
-            fallback="" if found else "no code sequence reached a goal",
-            codes=codes,
-        )
-
-
-def _codes_of(sequences: list[list[int]]) -> np.ndarray:
-    """Codes (c,) of sequences, each once."""
-    return np.array(sorted(set().union(*sequences)), dtype=np.int64)
 
 
 class CodeSequences:
-    """A query's start and goals, linked to a copy of the dictionary's roadmap."""
+    """A start and goals, linked to the dictionary's roadmap."""
 
     def __init__(
         self,
         roadmap: CodeRoadmap,
         cloud: np.ndarray,
-        query: Query,
-        settings: SequenceSettings,
-        project_first: bool,
+        start: np.ndarray,
+        goals: np.ndarray,
+        settings: SequenceSettings | None = None,
     ) -> None:
-        nodes, manifold = roadmap.roadmap.nodes.copy(), query.space.problem.manifold
-        factor, links = np.ones(len(nodes)), roadmap.links
-        if project_first and query.space.dim > 0:
-            factor += settings.penalty * np.linalg.norm(manifold.residual(nodes), axis=1)
+        """Start (n,), goals (k, n) [rad or m], in a cloud (m, 3) [m, robot base frame]."""
+        self._settings = settings or SequenceSettings()
+        nodes, links = roadmap.roadmap.nodes, roadmap.links
         self.graph = CodeGraph(
             nodes,
-            factor,
+            np.ones(len(nodes)),
             links.first,
             links.neighbour,
             links.edge,
             roadmap.edge_costs(cloud),
-            settings.collision_weight,
+            self._settings.collision_weight,
             np.empty(QUEUE * len(nodes)),
             np.empty(QUEUE * len(nodes), dtype=np.int32),
         )
-        self._space, self._settings = query.space, settings
-        self._projected = np.zeros(len(nodes), dtype=bool)
-        starts, goals = query.start[None], query.goals
         self._links = [
             (ends, (near := nearest_rows(nodes, ends, count)), roadmap.link_costs(cloud, ends, near))
-            for ends, count in ((starts, settings.entries), (goals, settings.exits))
+            for ends, count in ((start[None], self._settings.entries), (goals, self._settings.exits))
         ]
 
     def cheapest(self) -> list[list[int]]:
@@ -281,20 +221,9 @@ class CodeSequences:
         graph = self.graph
         cost, parent = np.full(len(graph.nodes), np.inf), np.empty(len(graph.nodes), dtype=np.int32)
         length = np.linalg.norm(graph.nodes[near] - ends[:, None], axis=2)
-        np.minimum.at(cost, near, 0.5 * (1.0 + graph.factor[near]) * length + graph.weight * nll)
+        np.minimum.at(cost, near, length + graph.weight * nll)
         cheapest_ways(graph, cost, parent)
         return cost, parent
-
-    def project(self, codes: np.ndarray) -> bool:
-        """Put codes on the manifold; those that lie too far from it are not used again. Whether any was new."""
-        new = codes[~self._projected[codes]]
-        self._projected[new] = True
-        for code in new.tolist():
-            node, q = self.graph.nodes[code], self.graph.nodes[code].copy()
-            good = self._space.project(q) and np.linalg.norm(q - node) <= self._settings.drift
-            self.graph.factor[code] = 1.0 if good else np.inf
-            node[:] = q
-        return len(new) > 0
 
 
 def _along(parent: np.ndarray, code: int) -> Iterator[int]:

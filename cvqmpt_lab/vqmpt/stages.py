@@ -4,8 +4,7 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 `weights.resolve_model` takes it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 
 import numpy as np
@@ -14,34 +13,38 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.search.guides import UnconstrainedPath
-from cvqmpt_lab.search.query import (
-    GaussianMixture,
-    Observation,
-    Proposal,
-    Query,
-    SamplingDistribution,
-    Stages,
-    widened,
-)
-from cvqmpt_lab.search.result import JointPath, Timings
+from cvqmpt_lab.search.query import Observation, Proposal, Query, Stages
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
+from cvqmpt_lab.vqmpt.code_predictors import (
+    GraphCodes,
+    OracleCodes,
+    PublishedCodes,
+    RandomCodes,
+    TransformerCodes,
+)
 from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
+from cvqmpt_lab.vqmpt.learned_sampler import (
+    CodeGaussians,
+    CodePredictor,
+    CodesMoved,
+    LearnedProposal,
+    MeansProjected,
+)
 from cvqmpt_lab.vqmpt.mpnet_rollouts import BRIDGED, MPNetRollouts, MPNetSettings
-from cvqmpt_lab.vqmpt.predictor import AS_PUBLISHED, Prediction, Predictor, PredictorSettings
-from cvqmpt_lab.vqmpt.sampler import CodeProposal, CodeRoadmap, PredictedSequences
+from cvqmpt_lab.vqmpt.predictor import Predictor
+from cvqmpt_lab.vqmpt.sampler import CodeRoadmap
+from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
+from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, StoredModel, read_model, resolve_model
 
 EDGE_PART = "sight"  # the edge validity model among the parts of a model
 POINTS = 4096  # of a cloud that becomes a distance field
 OTHER_SCENE = ("shelves", 77)  # shown by controls in place of the problem's own scene
-WIDTH = 1.1  # [rad] no Gaussian that is sampled from is narrower in any direction; chosen on the tuning environments
 STEPS = 5  # of Algorithm 2
-GOALS = 3  # nearest goals that a published model is asked about; the search gets them all
 
 
 @lru_cache(maxsize=4)
@@ -97,139 +100,71 @@ def no_cloud(scene: Scene) -> np.ndarray:
     return np.empty((0, 3))
 
 
-CLOUDS: dict[str | None, Callable[[Scene], np.ndarray]] = {"other scene": other_scene, "none": no_cloud}
+CLOUDS: dict[str, Callable[[Scene], np.ndarray]] = {"other-cloud": other_scene, "no-cloud": no_cloud}
 """What controls see in place of the scene."""
 
 
-def sequences(
-    robot: Robot,
-    model: str,
-    name: str,
-    *,
-    project_first: bool = False,
-    update: int | None = None,
-    cloud: str | None = None,
-    uniform_share: float = 0.15,
-) -> Stages:
-    """CVQ-MPT: the cheapest sequences of codes as a mixture.
+def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stages:
+    """The stages of a learned sampler; name: what result rows call its distribution.
 
-    project_first: codes are projected before sequences are chosen, and sampled around there. update: steps of
-    Algorithm 2 instead. cloud: of CLOUDS, in place of the scene's. Models of kind "published" have a sequence model of
-    their own, whose codes Algorithm 2 moves in place of the projection.
+    InvalidInputError for weights that lack what its predictor needs.
     """
-    if model_of(model).config.kind == "published":
-        return published(robot, model, PredictorSettings(name=name), STEPS if project_first else update)
+    codebook = codebook_of(model, robot)
+    noise = code_noise(len(codebook.vectors), robot.dof)
+    gaussians = CodeGaussians(choice, name, codebook, robot, noise)
+    updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
+        "none": None,
+        "algorithm-2": CodesMoved(gaussians, LatentOptimizer(codebook, LatentSettings(steps=STEPS))),
+        "projected": MeansProjected(gaussians),
+    }
+    predict, observe = PREDICTORS[choice.predictor](robot, model)
+    if observe is not None:
+        observe = CLOUDS.get(choice.cloud, observe)
+    return Stages(predict=LearnedProposal(predict, gaussians), observe=observe, update=updates[choice.update])
+
+
+Predicts = tuple[CodePredictor, Callable[[Scene], np.ndarray] | None]  # codes, and what it looks at
+
+
+def _transformer(robot: Robot, model: str) -> Predicts:
+    return TransformerCodes(_scene_predictor(model, robot)), observer()
+
+
+def _published(robot: Robot, model: str) -> Predicts:
+    return PublishedCodes(_predictor(model, robot)), observer()
+
+
+def _graph(robot: Robot, model: str) -> Predicts:
     code_roadmap(model, robot)  # a model without edge validity model is refused before the clock starts
-    moved = None
-    if update is not None:
-        codebook = codebook_of(model, robot)
-        moved = MovedGaussians(codebook, LatentOptimizer(codebook, LatentSettings(steps=update)))
-    predict = PredictedSequences(
-        name,
-        lambda query: code_roadmap(model, query.space.robot, query.space.problem.attachments),
-        widened(dictionary_roadmap(model, robot).covariances, WIDTH),
-        uniform_share=uniform_share,
-        project_first=project_first,
-    )
-    return Stages(predict=predict, observe=CLOUDS.get(cloud, observer(POINTS)), update=moved)
+    roadmap = lambda query: code_roadmap(model, query.space.robot, query.space.problem.attachments)  # noqa: E731
+    return GraphCodes(roadmap), observer(POINTS)
 
 
-@dataclass(frozen=True, eq=False)
-class MovedGaussians:
-    """The update of Opt-CVQ-MPT (paper, Algorithm 2): the codes of a proposal moved towards the constraint."""
-
-    codebook: Codebook
-    optimizer: LatentOptimizer
-
-    def __call__(self, query: Query, proposal: Proposal) -> Proposal:
-        """Sample around the moved codes; the proposal itself where there is nothing to move."""
-        assert isinstance(proposal, CodeProposal)
-        mixture, robot = proposal.distribution, query.space.robot
-        if query.space.dim == 0 or not isinstance(mixture, GaussianMixture):
-            return proposal
-        z, manifold = self.codebook.vectors[proposal.codes], query.space.problem.manifold
-        moved = self.optimizer.optimize(z, manifold, query.rng)
-        means, covariances = self.codebook.gaussians(moved.z)
-        noise = code_noise(len(self.codebook.vectors), robot.dof)[proposal.codes]
-        means = drawn_nodes(means, covariances, robot, noise)
-        return replace(
-            proposal,
-            distribution=replace(mixture, means=means, covariances=widened(covariances, WIDTH)),
-            timings=replace(proposal.timings, optimize=moved.seconds),
-            detail=f"{proposal.detail}, G {moved.g_before.mean():.3g} to {moved.g_after.mean():.3g}, "
-            f"{moved.kept.sum()} kept",
-        )
+def _random(robot: Robot, model: str) -> Predicts:
+    return RandomCodes(len(codebook_of(model, robot).vectors)), None
 
 
-def published(
-    robot: Robot, model: str, settings: PredictorSettings = AS_PUBLISHED, update: int | None = None
-) -> Stages:
-    """CVQ-MPT by a model of the authors' architecture; Opt-CVQ-MPT after `update` steps of Algorithm 2."""
-    predictor = _predictor(model, robot, settings)
-    moved = None
-    if update is not None:
-        moved = MovedCodes(predictor, LatentOptimizer(predictor.codebook, LatentSettings(steps=update)))
-    return Stages(predict=PredictedCodes(predictor), observe=observer(), update=moved)
+def _oracle(robot: Robot, model: str) -> Predicts:
+    return OracleCodes(partial(codes_of, model_of(model), robot)), None
 
 
-@lru_cache(maxsize=16)
-def _predictor(model: str, robot: Robot, settings: PredictorSettings) -> Predictor:
-    return Predictor(model_of(model), robot, settings)
+PREDICTORS: Mapping[str, Callable[[Robot, str], Predicts]] = {
+    "transformer": _transformer,
+    "published": _published,
+    "graph": _graph,
+    "random": _random,
+    "oracle": _oracle,
+}
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedProposal(CodeProposal):
-    """A proposal that remembers the prediction it was made of."""
-
-    prediction: Prediction | None = None
+@lru_cache(maxsize=4)
+def _scene_predictor(model: str, robot: Robot) -> SceneTransformerPredictor:
+    return SceneTransformerPredictor(model_of(model), robot)
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedCodes:
-    """CVQ-MPT: codes predicted from cloud, start and goals become a mixture."""
-
-    predictor: Predictor
-
-    def __call__(self, query: Query, observation: Observation) -> PredictedProposal:
-        """Predict; the timings say what the networks took."""
-        assert observation.cloud is not None
-        goals = query.nearest_goals(GOALS)
-        prediction = self.predictor.predict(observation.cloud, query.start, goals, observation.use_cache)
-        lost = len(prediction.unfinished)
-        detail = f"{len(prediction.codes)} codes" + (
-            f", none to {lost} of {len(goals)} goals" if lost else ""
-        )
-        return PredictedProposal(
-            self.predictor.mixture(prediction),
-            Timings(prediction.encode_seconds, prediction.predict_seconds),
-            detail,
-            fallback="" if len(prediction.codes) else "no code sequence reached a goal",
-            codes=prediction.codes,
-            prediction=prediction,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class MovedCodes:
-    """The update of Opt-CVQ-MPT (paper, Algorithm 2) for published models."""
-
-    predictor: Predictor
-    optimizer: LatentOptimizer
-
-    def __call__(self, query: Query, proposal: Proposal) -> Proposal:
-        """The mixture of the moved codes; the proposal itself where there is nothing to move or no constraint."""
-        assert isinstance(proposal, PredictedProposal) and proposal.prediction is not None
-        prediction = proposal.prediction
-        if query.space.dim == 0 or len(prediction.codes) == 0:
-            return proposal
-        moved = self.optimizer.optimize(prediction.z, query.space.problem.manifold, query.rng)
-        before, after = moved.g_before.mean(), moved.g_after.mean()
-        return replace(
-            proposal,
-            distribution=self.predictor.mixture(prediction, moved.z),
-            timings=replace(proposal.timings, optimize=moved.seconds),
-            detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
-        )
+@lru_cache(maxsize=4)
+def _predictor(model: str, robot: Robot) -> Predictor:
+    return Predictor(model_of(model), robot)
 
 
 def roadmap_path(robot: Robot, model: str, cloud: str | None = None, oracle: bool = False) -> Stages:
@@ -238,10 +173,10 @@ def roadmap_path(robot: Robot, model: str, cloud: str | None = None, oracle: boo
     cloud: of CLOUDS, in place of the scene's. oracle: no cloud, but what is blocked is known.
     """
     roadmap = dictionary_roadmap(model, robot)
-    if cloud == "none" or oracle or EDGE_PART not in model_of(model).parts:
+    if cloud == "no-cloud" or oracle or EDGE_PART not in model_of(model).parts:
         return Stages(predict=RoadmapPath(roadmap, oracle=oracle))
     predict = RoadmapPath(roadmap, edge_model=partial(_edge_arrays, model))
-    return Stages(predict=predict, observe=CLOUDS.get(cloud, observer(POINTS)))
+    return Stages(predict=predict, observe=CLOUDS.get(cloud or "", observer(POINTS)))
 
 
 def _edge_arrays(model: str, query: Query, observation: Observation) -> EdgeArrays:
@@ -249,18 +184,6 @@ def _edge_arrays(model: str, query: Query, observation: Observation) -> EdgeArra
     assert observation.cloud is not None
     found = edge_model(model, query.space.robot, query.space.problem.attachments)
     return found.arrays(observation.cloud, observation.use_cache)
-
-
-def true_codes(robot: Robot, model: str) -> Stages:
-    """The codes of an unconstrained path of the very problem: a model that never errs."""
-    means, covariances = dictionary_gaussians(model_of(model), robot)
-    share = PredictorSettings().uniform_share
-
-    def suggest(query: Query, path: JointPath) -> SamplingDistribution:
-        codes = np.unique(codes_of(model_of(model), robot, path.spaced(0.2)))
-        return GaussianMixture.equal(means[codes], covariances[codes], query.uniform, share, "true-codes")
-
-    return Stages(predict=UnconstrainedPath(suggest))
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:

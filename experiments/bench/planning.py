@@ -109,7 +109,7 @@ def bench_growth() -> Iterator[Measurement]:
 
 def bench_networks(problems: int) -> Iterator[Measurement]:
     """Edge costs of a new cloud, prediction of sequences to all goals in a known one, update of their codes."""
-    method, rng, clock = planner_named("opt-algorithm-2"), np.random.default_rng(0), CpuTimes()
+    method, rng, clock = planner_named("cvq:graph+algorithm-2"), np.random.default_rng(0), CpuTimes()
     for problem in _posed(problems):
         stages, space = method.stages(problem), ConstrainedSpace(problem)
         assert stages.observe is not None and stages.update is not None and method.weights is not None

@@ -24,8 +24,8 @@ from cvqmpt_lab.search.query import Observation, Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
-from cvqmpt_lab.vqmpt.sampler import CodeProposal
-from cvqmpt_lab.vqmpt.stages import STEPS, codebook_of
+from cvqmpt_lab.vqmpt.learned_sampler import CodeProposal
+from cvqmpt_lab.vqmpt.stages import STEPS, codebook_of, model_of
 from experiments.figures.drawing import write_csv
 
 PLANNER = "cvq-mpt"
@@ -98,7 +98,8 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
     if len(problem.goals) == 0:
         raise InvalidInputError(f"problem {problem.name}: no goal was found; choose another")
     planned, drawn = map(np.random.default_rng, np.random.SeedSequence(settings.seed).spawn(2))
-    method = planner_named(PLANNER, model)
+    published = model is not None and model_of(model).config.kind == "published"
+    method = planner_named("cvq-published" if published else PLANNER, model)
     stages = method.stages(problem)
     assert stages.observe is not None and method.weights is not None
     cloud, query = stages.observe(problem.scene), Query.of(ConstrainedSpace(problem), ENOUGH, planned)

@@ -31,7 +31,7 @@ def script(tmp_path_factory):
         (("pl",), {"plan"}),
         (("",), set(COMMANDS)),
         (("plan", "place-task", "--planner", ""), {*PLANNERS, *CONTROLS}),
-        (("plan", "place-task", "--planner", "cvq-no"), {"cvq-no-cloud", "cvq-no-uniform"}),
+        (("plan", "place-task", "--planner", "cvq-w"), {"cvq-wide", "cvq-wrong-cloud"}),
         (("reproduce", "place-task-w"), {"place-task-with-can"}),
         (("robot", "xa"), {"xarm7"}),
         (("table", "--ompl"), {"--ompl-log"}),

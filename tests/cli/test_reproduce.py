@@ -45,7 +45,7 @@ def test_every_suite_and_the_controls_are_part_of_everything():
     for name in ("place-task", "multi-sequence"):
         assert len(full[name].seeds) == 5 and set(full[name].planners) == set(PLANNERS)
         assert full[name].problems == tuple(SUITES[name].problems)
-    assert {"cvq-no-uniform", "birrt"} <= set(full["controls"].planners)
+    assert {"random-codes", "birrt"} <= set(full["controls"].planners)
     with pytest.raises(UnknownChoiceError, match="tiny"):
         amounts("tiny")
 

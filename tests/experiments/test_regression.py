@@ -105,7 +105,7 @@ def test_unreadable_expectations_name_the_cure(tmp_path, text):
 def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     committed = Expectations.load(EXPECTED)
     assert sorted(committed.outcomes) == sorted(CASES)
-    assert {case.planner for case in CASES} == {*table.PLANNERS, "opt-algorithm-2"}
+    assert {case.planner for case in CASES} == {*table.PLANNERS}
     assert {values["fail_reason"] for values in committed.outcomes.values()} == {None, "iteration_limit"}
 
 

@@ -20,7 +20,7 @@ from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.suite import suite_named
 from paper_tables.committed import committed_directories
 
-RUN = Run("suite", 0, "thinking", 0, Budget(iterations=1))
+RUN = Run("suite", 0, "birrt", 0, Budget(iterations=1))
 PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s")
 
 
@@ -31,7 +31,7 @@ def row_of(problem, timings, budget=20_000):
         time.sleep(timings.total)
         return Proposal(query.uniform, timings)
 
-    thinking = Method.simple("thinking", predict=think)
+    thinking = Method.simple("birrt", predict=think)
     solution = solve(problem, thinking, Budget(iterations=budget), seed=0, clearance=False)
     return result_row(RUN, solution, goal_seconds=0.25), solution
 
@@ -108,7 +108,7 @@ def test_planners_share_the_field_of_a_known_scene_and_build_that_of_a_new_one(m
     clouds, fill = [], edge_model.fill_distances
     monkeypatch.setattr(edge_model, "fill_distances", lambda *given: clouds.append(given) or fill(*given))
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
-    for name in ("roadmap-cvq", "cvq-mpt", "opt-cvq-mpt"):
+    for name in ("roadmap-cvq", "graph-cvq", "cvq:graph+wide"):
         before = len(clouds)
         outcome_of(Run(suite, 0, name, 0, Budget(iterations=1)), item, 0.0)
         found.append(len(clouds) - before)

@@ -59,7 +59,7 @@ def test_weights_without_an_edge_model_go_without_cloud_or_not_at_all(tmp_path):
     assert roadmap_path(panda(), str(tmp_path / "m")).observe is None
     assert roadmap_path(panda(), "vq_mpt").observe is not None
     with pytest.raises(InvalidInputError, match="no edge validity model, only dictionary"):
-        planner_named("cvq-mpt", str(tmp_path / "m")).stages(place_problem(1003))
+        planner_named("graph-cvq", str(tmp_path / "m")).stages(place_problem(1003))
 
 
 def test_data_without_a_scene_to_train_on_is_refused(tmp_path):

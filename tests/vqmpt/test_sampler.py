@@ -6,8 +6,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.query import Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.sampler import CodeSequences, SequenceSettings
@@ -50,7 +49,7 @@ def test_all_edges_at_once_look_as_each_on_its_own(cloud, problem, carried):
 
 def test_sequences_are_the_cheapest_through_some_code_that_none_before_has(seen, query, cloud):
     """Judged by scipy: the start is node N, any goal node N + 1."""
-    found = CodeSequences(seen, cloud, query, SETTINGS, project_first=False).cheapest()
+    found = CodeSequences(seen, cloud, query.start, query.goals).cheapest()
     nodes, edges = seen.roadmap.nodes, seen.links.edges
     count = len(nodes)
     costs = {}
@@ -80,19 +79,3 @@ def test_sequences_are_the_cheapest_through_some_code_that_none_before_has(seen,
         assert len(set(codes)) == len(codes) and new
         assert np.isclose(through[list(new)], total(codes)).any()
     assert np.all(np.diff([total(codes) for codes in found]) >= 0.0)
-
-
-@pytest.mark.parametrize(("name", "on_manifold"), [("cvq-mpt", False), ("opt-cvq-mpt", True)])
-def test_codes_are_projected_before_prediction_where_the_planner_says_so(problem, query, name, on_manifold):
-    stages = planner_named(name).stages(problem)
-    proposal = stages.predict(query, Observation(stages.observe(problem.scene)))
-    off = np.abs(problem.manifold.residual(proposal.distribution.means)).max()
-    assert (off < 2e-3) == on_manifold and len(proposal.codes) == len(proposal.distribution.means)
-
-
-def test_where_no_sequence_reaches_a_goal_samples_are_uniform_and_the_proposal_says_so(problem, query):
-    stages = planner_named("cvq-mpt").stages(problem)
-    cloud, graph = stages.observe(problem.scene), stages.predict.roadmap_of(query)
-    asked = CodeSequences(graph, cloud, query, SETTINGS, project_first=False)
-    asked.graph.factor[:] = np.inf
-    assert asked.cheapest() == []

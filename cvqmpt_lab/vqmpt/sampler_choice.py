@@ -1,0 +1,91 @@
+"""A learned sampler as a product of choices: who predicts codes, which Gaussians they become, how these are moved.
+
+    predictor   transformer: the scene transformer; published: the authors' architecture; graph: cheapest sequences on
+                the dictionary's roadmap; random: any codes; oracle: codes of a path that ignores the constraint
+    Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them; wide: around each code's node of the roadmap, no
+                direction narrower than WIDTH
+    update      none; algorithm-2: codes moved by gradient towards F(q) = 0; projected: every mean put on the manifold
+    cloud       the scene's own; other-cloud: that of another scene; no-cloud: no points
+
+Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about, all equally likely
+(paper, eqn. sample_dist, and its code), and a uniform share.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+
+PREFIX = "cvq:"
+PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+GAUSSIANS = ("decoded", "wide")
+UPDATES = ("none", "algorithm-2", "projected")
+CLOUDS = ("own-cloud", "other-cloud", "no-cloud")
+UNIFORM = "uniform="
+WIDE_SHARE = 0.15  # uniform share that wide Gaussians get where none is given
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplerChoice:
+    """One product."""
+
+    predictor: str  # of PREDICTORS
+    gaussians: str = "decoded"  # of GAUSSIANS
+    update: str = "none"  # of UPDATES
+    cloud: str = "own-cloud"  # of CLOUDS
+    uniform_share: float = (
+        0.0  # of samples between the joint limits; at 0 a planner is not probabilistically complete
+    )
+
+    def __post_init__(self) -> None:
+        choices = {"predictor": PREDICTORS, "gaussians": GAUSSIANS, "update": UPDATES, "cloud": CLOUDS}
+        for name, known in choices.items():
+            if getattr(self, name) not in known:
+                raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
+        if not 0.0 <= self.uniform_share <= 1.0:
+            raise InvalidInputError(f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1")
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """From words joined by "+", such as ``graph+wide+projected+uniform=0.15``: the predictor first."""
+        predictor, *words = text.split("+")
+        found: dict[str, Any] = {}
+        for word in words:
+            value: Any = word
+            if word.startswith(UNIFORM):
+                kind, value = "uniform_share", _share(word)
+            elif word in GAUSSIANS:
+                kind = "gaussians"
+            elif word in UPDATES:
+                kind = "update"
+            elif word in CLOUDS:
+                kind = "cloud"
+            else:
+                known = (*GAUSSIANS, *UPDATES, *CLOUDS, f"{UNIFORM}0.15")
+                raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
+            if kind in found:
+                raise InvalidInputError(
+                    f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
+                )
+            found[kind] = value
+        if found.get("gaussians") == "wide":
+            found.setdefault("uniform_share", WIDE_SHARE)
+        return cls(predictor=predictor, **found)
+
+
+def _share(word: str) -> float:
+    try:
+        return float(word.removeprefix(UNIFORM))
+    except ValueError as error:
+        raise InvalidInputError(f"{word!r}: give a number from 0 to 1 behind {UNIFORM!r}") from error
+
+
+NAMED: Mapping[str, SamplerChoice] = {
+    "cvq-mpt": SamplerChoice.of("transformer+decoded"),
+    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+algorithm-2"),
+    "cvq-published": SamplerChoice.of("published+decoded"),
+    "cvq-wide": SamplerChoice.of("transformer+wide+projected"),
+    "graph-cvq": SamplerChoice.of("graph+wide+projected"),
+}
+"""Products that planners are named after. The first three are the paper's, the others ours."""

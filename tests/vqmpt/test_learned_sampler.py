@@ -1,0 +1,125 @@
+"""Products of predictor, Gaussians and update: their words, their mixtures, what updates do to them."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.search.query import Observation, Query, Uniform
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt.learned_sampler import GOAL_STD, CodeProposal, LearnedProposal, PredictedCodes
+from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
+from cvqmpt_lab.vqmpt.stages import codebook_of, dictionary_roadmap
+from experiments.suites.place_task import place_problem
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return with_sampled_goals(place_problem(1003))[0]
+
+
+@pytest.fixture
+def query(problem):
+    return Query.of(ConstrainedSpace(problem), Budget(iterations=20_000), np.random.default_rng(0))
+
+
+@pytest.fixture
+def proposed(problem, query):
+    """Proposal of a planner, updated or not, and its codes' vectors."""
+
+    def propose(name):
+        stages = planner_named(name).stages(problem)
+        cloud = stages.observe(problem.scene) if stages.observe else None
+        proposal = stages.predict(query, Observation(cloud))
+        return proposal if stages.update is None else stages.update(query, proposal)
+
+    return propose
+
+
+@pytest.mark.parametrize(
+    ("words", "choice"),
+    [
+        ("graph", SamplerChoice(predictor="graph")),
+        ("transformer+algorithm-2", SamplerChoice(predictor="transformer", update="algorithm-2")),
+        ("random+wide", SamplerChoice(predictor="random", gaussians="wide", uniform_share=0.15)),
+        (
+            "graph+uniform=0.5+projected+wide+other-cloud",
+            SamplerChoice(
+                predictor="graph",
+                gaussians="wide",
+                update="projected",
+                cloud="other-cloud",
+                uniform_share=0.5,
+            ),
+        ),
+    ],
+)
+def test_words_say_the_product(words, choice):
+    assert SamplerChoice.of(words) == planner_named(f"cvq:{words}").sampler == choice
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("", "predictor of a learned sampler ''; valid choices: transformer"),
+        ("wide", "'wide'; valid choices: transformer"),
+        ("graph+broad", "part of planner cvq:graph+broad 'broad'; valid choices: decoded, wide"),
+        ("graph+wide+decoded", "two parts of one kind, 'decoded'"),
+        ("graph+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
+        ("graph+uniform=x", "give a number from 0 to 1 behind 'uniform='"),
+    ],
+)
+def test_other_words_are_refused(words, message):
+    with pytest.raises(CvqmptError, match=message.replace("+", r"\+")) as caught:
+        planner_named(f"cvq:{words}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("predictor", ["transformer", "graph", "random", "oracle"])
+def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
+    """Equal weights; the decoder's own Gaussians, and around the goals a tenth of each joint's range."""
+    proposal = proposed(f"cvq:{predictor}")
+    mixture, c = proposal.distribution, len(proposal.codes)
+    codebook = codebook_of("vq_mpt", problem.robot)
+    means, covariances = codebook.gaussians(codebook.vectors[proposal.codes])
+    assert c > 0 and mixture.uniform_share == 0.0 and len(mixture.weights) == c + len(proposal.goals)
+    np.testing.assert_array_equal(mixture.means[:c], means)
+    np.testing.assert_allclose(mixture.covariances[:c], covariances, atol=1e-8)
+    np.testing.assert_array_equal(mixture.means[c:], proposal.goals)
+    span = problem.robot.upper - problem.robot.lower
+    np.testing.assert_allclose(
+        mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * len(proposal.goals)
+    )
+    assert all((np.abs(problem.goals - goal).max(axis=1) < 1e-9).any() for goal in proposal.goals)
+
+
+def test_wide_gaussians_lie_at_the_nodes_of_the_roadmap(problem, proposed):
+    proposal = proposed("cvq:graph+wide")
+    c, nodes = len(proposal.codes), dictionary_roadmap("vq_mpt", problem.robot).nodes
+    np.testing.assert_allclose(proposal.distribution.means[:c], nodes[proposal.codes], atol=1e-4)
+    assert np.sqrt(np.linalg.eigvalsh(proposal.distribution.covariances[:c])).min() > 1.09
+    assert proposal.distribution.uniform_share == 0.15
+
+
+def test_updates_move_codes_towards_the_constraint(problem, proposed):
+    """F^T F at the means: less after Algorithm 2, almost nothing after projection."""
+    off = {}
+    for update in ("none", "algorithm-2", "projected"):
+        proposal = proposed(f"cvq:graph+{update}")
+        means = proposal.distribution.means[: len(proposal.distribution.means) - len(proposal.goals)]
+        off[update] = np.square(problem.manifold.residual(means)).sum(axis=1).mean()
+    assert off["projected"] < 1e-5 < off["algorithm-2"] < off["none"]
+
+
+def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, query):
+    stages = planner_named("cvq:graph+algorithm-2").stages(problem)
+    none = PredictedCodes(np.empty(0, dtype=np.int64), query.goals[:0], "nothing")
+    proposal = LearnedProposal(lambda query, observation: none, stages.predict.gaussians)(
+        query, Observation()
+    )
+    assert isinstance(proposal, CodeProposal) and isinstance(proposal.distribution, Uniform)
+    assert (
+        proposal.fallback == "no code sequence reached a goal" and stages.update(query, proposal) is proposal
+    )
