@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.planners import REMOVED, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
@@ -141,8 +141,8 @@ def run_experiment(
 
 
 def models_of(planner: str) -> tuple[str, ...]:
-    """Names of the models that a planner needs."""
-    kind = planner_named(planner).weights
+    """Names of the models that a planner needs; of a removed one, those of what replaces it."""
+    kind = planner_named(REMOVED.get(planner, planner)).weights
     return () if kind is None else (kind,)
 
 
