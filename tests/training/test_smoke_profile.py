@@ -10,7 +10,8 @@ from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
-from cvqmpt_lab.vqmpt.predictor import Predictor, PredictorSettings
+from cvqmpt_lab.vqmpt.codebook import Codebook
+from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
 
@@ -29,14 +30,14 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
 
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
     checkpoint = load_checkpoint(stage2 / "model", robot_signature(robot))
-    predictor = Predictor(stored(checkpoint), robot, PredictorSettings(uniform_share=0.2))
+    predictor = Predictor(stored(checkpoint), robot)
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.8, 0.8, (400, 3))
     start, goal = robot.random_configurations(rng, 2)
     prediction = predictor.predict(cloud, start, goal[None])
-    mixture = predictor.mixture(prediction)
     assert len(prediction.sequences[0].codes) > 0
-    assert np.isfinite(mixture.sample(rng, 100)).all()
+    codebook = Codebook(stored(checkpoint), robot)
+    assert all(np.isfinite(part).all() for part in codebook.gaussians(codebook.vectors[:5]))
 
 
 @pytest.mark.slow
