@@ -1,4 +1,4 @@
-"""The dictionary's roadmap as arcs, and costs to go on it, for the scene transformer."""
+"""The dictionary's roadmap as arcs, and the cheapest ways on it."""
 
 from typing import Annotated, NamedTuple
 
@@ -7,6 +7,7 @@ import numpy as np
 from cvqmpt_lab.jit import entry
 from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
 
+QUEUE = 40  # entries of the queue a node
 UNREACHED = 30.0  # [rad] cost to go where there is no way, as in `scene_transformer`
 
 
@@ -42,22 +43,25 @@ def arcs_of(count: int, edges: np.ndarray) -> Arcs:
 
 
 @entry
-def costs_to_go(
+def cheapest_ways(
     first: Annotated[np.ndarray, "int32 inner"],
     neighbour: Annotated[np.ndarray, "int32 arcs"],
     arc_cost: Annotated[np.ndarray, "arcs"],
-    cost: Annotated[np.ndarray, "goals nodes"],
+    cost: Annotated[np.ndarray, "ends nodes"],
+    parent: Annotated[np.ndarray, "int32 ends nodes"],
     heap: Annotated[np.ndarray, "queue"],
     heap_node: Annotated[np.ndarray, "int32 queue"],
 ):
-    """Lower the cost of each node to that of the cheapest way from it to each goal, by Dijkstra's algorithm.
+    """Lower the cost of each node to that of the cheapest way between it and each end, by Dijkstra's algorithm.
 
-    cost: of nodes linked to a goal that of the link, of others UNREACHED.
+    cost: of nodes linked to an end that of the link, of others inf. parent: the node before each on that way, -1 where
+    the way begins.
     """
-    for goal in range(cost.shape[0]):
-        known, size = cost[goal], 0
+    for end in range(cost.shape[0]):
+        known, before, size = cost[end], parent[end], 0
         for i in range(cost.shape[1]):
-            if known[i] < UNREACHED:
+            before[i] = -1
+            if known[i] < np.inf:
                 push(heap, heap_node, size, known[i], i)
                 size += 1
         while size > 0:
@@ -70,6 +74,6 @@ def costs_to_go(
                 there = np.int64(neighbour[arc])
                 more = least + arc_cost[arc]
                 if more < known[there] and size < heap.shape[0]:
-                    known[there] = more
+                    known[there], before[there] = more, here
                     push(heap, heap_node, size, more, there)
                     size += 1

@@ -13,14 +13,13 @@ from cvqmpt_lab.jit import entry
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.array_layers import Block, Layers, Linear, gelu, relu, softplus
-from cvqmpt_lab.vqmpt.code_arcs import UNREACHED, arcs_of, costs_to_go
+from cvqmpt_lab.vqmpt.code_arcs import QUEUE, UNREACHED, arcs_of, cheapest_ways
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig
 from cvqmpt_lab.vqmpt.weights import StoredModel, robot_signature
 
 PART = "transformer"
 RISK, WAVES = 3.0, 5  # as in `scene_transformer`
 BATCH = 16  # groups of points
-QUEUE = 40  # entries of the queue a node
 
 
 class Look(NamedTuple):
@@ -231,10 +230,11 @@ class SceneLooker:
 
     def cost_to_go(self, scene: EncodedScene, ends: Ends) -> np.ndarray:
         """V (u, N) [rad]: cost of the cheapest way between every code and each end, at most UNREACHED."""
-        V = np.full((len(ends.near), len(self.nodes)), UNREACHED)
-        np.put_along_axis(V, ends.near, np.minimum(ends.cost, UNREACHED), axis=1)
-        costs_to_go(self.arcs.first, self.arcs.neighbour, scene.arc_cost, V, *self._heap)
-        return V
+        V = np.full((len(ends.near), len(self.nodes)), np.inf)
+        np.put_along_axis(V, ends.near, ends.cost, axis=1)
+        parent = np.empty(V.shape, dtype=np.int32)
+        cheapest_ways(self.arcs.first, self.arcs.neighbour, scene.arc_cost, V, parent, *self._heap)
+        return np.minimum(V, UNREACHED)
 
     def entered(self, seen: np.ndarray, kind: int) -> np.ndarray:
         """Embeddings (u, d) of goals (kind 0) or starts (1) as the causal transformer takes them."""

@@ -7,64 +7,14 @@ decoded Gaussians N(mu_k, Sigma_k) with equal weights are the sampling distribut
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry
-from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push
-from cvqmpt_lab.search.motion import distance
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_features, sphere_cells
+from cvqmpt_lab.vqmpt.code_arcs import QUEUE, cheapest_ways
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
-
-QUEUE = 40  # entries of the queue a node
-
-
-class CodeGraph(NamedTuple):
-    """N nodes, and arcs along the edges between them both ways."""
-
-    nodes: Annotated[np.ndarray, "nodes n"]  # [rad or m]
-    factor: Annotated[np.ndarray, "nodes"]
-    """>= 1, how much longer motions at a node count; inf: a node not to use."""
-    first: Annotated[np.ndarray, "int32 inner"]  # where each node's arcs begin; one more entry than nodes
-    neighbour: Annotated[np.ndarray, "int32 arcs"]  # the node that an arc leads to
-    edge: Annotated[np.ndarray, "int32 arcs"]  # the edge that it belongs to
-    nll: Annotated[np.ndarray, "edges"]  # -log P(free) of each edge
-    weight: float  # what -log P(free) costs [rad]
-    heap: Annotated[np.ndarray, "queue"]  # costs in the queue
-    heap_node: Annotated[np.ndarray, "int32 queue"]  # their nodes
-
-
-@entry
-def cheapest_ways(
-    graph: CodeGraph, cost: Annotated[np.ndarray, "nodes"], parent: Annotated[np.ndarray, "int32 nodes"]
-):
-    """Lower the cost of each node to that of the cheapest way to it from any node that has a cost.
-
-    parent: the node before each on that way, -1 where the way begins.
-    """
-    heap, heap_node, size = graph.heap, graph.heap_node, 0
-    for i in range(cost.shape[0]):
-        parent[i] = -1
-        if cost[i] < np.inf:
-            push(heap, heap_node, size, cost[i], i)
-            size += 1
-    while size > 0:
-        known, here = heap[0], np.int64(heap_node[0])
-        drop_smallest(heap, heap_node, size)
-        size -= 1
-        if known > cost[here]:
-            continue
-        for arc in range(graph.first[here], graph.first[here + 1]):
-            there = np.int64(graph.neighbour[arc])
-            factor = 0.5 * (graph.factor[here] + graph.factor[there])
-            more = known + graph.weight * graph.nll[graph.edge[arc]]
-            more += factor * distance(graph.nodes[here], graph.nodes[there])
-            if more < cost[there] and size < heap.shape[0]:
-                cost[there], parent[there] = more, here
-                push(heap, heap_node, size, more, there)
-                size += 1
 
 
 class Links(NamedTuple):
@@ -120,7 +70,7 @@ class CodeRoadmap:
             self.links, self._states, self._first = bare.links, bare._states, bare._first
             self._cells = np.concatenate([bare._cells, self._placed(known)], axis=1)
         ends = roadmap.nodes[self.links.edges]
-        self._length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        self.length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
 
     def _placed(self, first: int) -> np.ndarray:
         """Cells (s, spheres) that the spheres from `first` on lie in."""
@@ -135,8 +85,8 @@ class CodeRoadmap:
         arrays, n = self.model.arrays(cloud, use_cache), self.model.robot.dof
         clearance = np.empty((len(self._cells), n))
         cell_clearances(arrays, arrays.distance.reshape(-1), self._cells, clearance)
-        features = np.empty((len(self._length), n + 1))
-        edge_features(clearance, self._first, self.links.edges, self._length, features)
+        features = np.empty((len(self.length), n + 1))
+        edge_features(clearance, self._first, self.links.edges, self.length, features)
         return features
 
     def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
@@ -185,18 +135,9 @@ class CodeSequences:
     ) -> None:
         """Start (n,), goals (k, n) [rad or m], in a cloud (m, 3) [m, robot base frame]."""
         self._settings = settings or SequenceSettings()
-        nodes, links = roadmap.roadmap.nodes, roadmap.links
-        self.graph = CodeGraph(
-            nodes,
-            np.ones(len(nodes)),
-            links.first,
-            links.neighbour,
-            links.edge,
-            roadmap.edge_costs(cloud),
-            self._settings.collision_weight,
-            np.empty(QUEUE * len(nodes)),
-            np.empty(QUEUE * len(nodes), dtype=np.int32),
-        )
+        nodes, self._roadmap, weight = roadmap.roadmap.nodes, roadmap, self._settings.collision_weight
+        self._arc_cost = (roadmap.length + weight * roadmap.edge_costs(cloud))[roadmap.links.edge]
+        self._heap = np.empty(QUEUE * len(nodes)), np.empty(QUEUE * len(nodes), dtype=np.int32)
         self._links = [
             (ends, (near := nearest_rows(nodes, ends, count)), roadmap.link_costs(cloud, ends, near))
             for ends, count in ((start[None], self._settings.entries), (goals, self._settings.exits))
@@ -218,12 +159,12 @@ class CodeSequences:
 
     def _ways(self, ends: np.ndarray, near: np.ndarray, nll: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cost (N,) of the cheapest way between any of ends (e, n) and each code, and the code before it."""
-        graph = self.graph
-        cost, parent = np.full(len(graph.nodes), np.inf), np.empty(len(graph.nodes), dtype=np.int32)
-        length = np.linalg.norm(graph.nodes[near] - ends[:, None], axis=2)
-        np.minimum.at(cost, near, length + graph.weight * nll)
-        cheapest_ways(graph, cost, parent)
-        return cost, parent
+        nodes, links = self._roadmap.roadmap.nodes, self._roadmap.links
+        cost, parent = np.full((1, len(nodes)), np.inf), np.empty((1, len(nodes)), dtype=np.int32)
+        length = np.linalg.norm(nodes[near] - ends[:, None], axis=2)
+        np.minimum.at(cost[0], near, length + self._settings.collision_weight * nll)
+        cheapest_ways(links.first, links.neighbour, self._arc_cost, cost, parent, *self._heap)
+        return cost[0], parent[0]
 
 
 def _along(parent: np.ndarray, code: int) -> Iterator[int]:
