@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(json.dumps(q) for q in configurations))
         print(f"{len(configurations)} of {args.count} configurations; {found.outcome}")
+        if not configurations:
+            print(replace(problem, goal_region=region).why_no_goal())
     return 0 if configurations else 1
 
 

@@ -76,7 +76,9 @@ def solve(
     method = planner_named(method) if isinstance(method, str) else method
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
-        plan = no_plan(PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}")
+        plan = no_plan(
+            PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
+        )
         return Solution(problem, plan, goal_seconds=goal_seconds)
     check_problem(problem)
     require_fit(method, problem)
@@ -153,7 +155,7 @@ def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:
     """The problem with goal configurations drawn from its goal region when it has none, and the seconds spent.
 
-    Goals off the manifold are left out, unless all are: `check_problem` then says by how much.
+    Goals off the manifold are left out, unless all are: `check_problem` then says which bound they break.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0

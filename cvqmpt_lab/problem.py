@@ -32,7 +32,8 @@ from cvqmpt_lab.codec.plain import Document, mapping, unique
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.report import bound_usage
+from cvqmpt_lab.constraints.no_goal import why_none
+from cvqmpt_lab.constraints.report import bound_usage, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -153,7 +154,8 @@ class PlanningProblem(Document):
         checker, rng = self.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
         found = sample_region(self.robot, self.start_region, checker, rng, count=1, within=self.constraint)
         if len(found.configurations) == 0:
-            raise InvalidProblemError(f"{self.name}: no start in 'start_region': {found.outcome}")
+            why = why_none(self.robot, self.start_region, checker, self.constraint)
+            raise InvalidProblemError(f"{self.name}: no start in 'start_region': {found.outcome}; {why}")
         start = found.configurations[0]
         start.setflags(write=False)
         return start
@@ -176,6 +178,11 @@ class PlanningProblem(Document):
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Random numbers that depend on keys (a seed) and the start; without keys for all planners and seeds alike."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
+
+    def why_no_goal(self) -> str:
+        """Reasons in words why no configuration was found for the goal region; see `why_none`."""
+        assert self.goal_region is not None
+        return why_none(self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN), self.constraint)
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """The exact checker of this problem's world; distances below margin [m] are collisions."""
@@ -211,12 +218,8 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
                 f"{problem.name}: {label} is in collision: {checker.colliding_pair(q)}; choose another configuration"
                 f"{gap}"
             )
-        residual = problem.manifold.residual(q)
-        if np.linalg.norm(residual) > TOLERANCE:
-            raise InvalidProblemError(
-                f"{problem.name}: {label} is off the constraint manifold by {np.abs(residual).max():.4f} (rad or m); "
-                f"project it first"
-            )
+        if np.linalg.norm(problem.manifold.residual(q)) > TOLERANCE:
+            raise InvalidProblemError(f"{problem.name}: {_off_manifold(problem, label, q)}")
     if problem.goal_region is None:
         return
     for k, goal in enumerate(problem.goals):
@@ -227,3 +230,22 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
                 f"{problem.name}: goal {k} lies outside 'goal_region' by {worst:.4f} (rad or m); take out 'goals', "
                 f"and new ones are drawn from the region, or 'goal_region'"
             )
+
+
+def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
+    """Which bound of the constraint a start or goal q (n,) breaks; of a goal region when all its goals do."""
+    states, broken = q[None], f"{label} breaks"
+    cure = "`cvqmpt ik` finds configurations that keep the constraint"
+    goals = problem.goals
+    if label != "start" and problem.goal_region is not None:
+        residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
+        if residuals.min() > TOLERANCE:
+            states, broken = (
+                goals,
+                f"'goal_region' leaves the constraint: the best of {len(goals)} goals in it breaks",
+            )
+            cure = "move or turn the region, or widen the bound"
+    bounds = [
+        broken_bound(region, displacements(problem.robot, region, states)) for region in problem.constraint
+    ]
+    return f"{broken} {', '.join(filter(None, bounds)) or 'the constraint by rounding'}; {cure}"

@@ -2,12 +2,14 @@
 
 import copy
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
@@ -145,10 +147,41 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
             {"scene": with_brick(problem, problem.robot.pose(problem.start))},
         ),
         (r"goal \d+ is in collision: .*brick", {"scene": with_brick(problem, at_goal)}),
-        (f"start is off the constraint manifold by {amount:.4f}", {"start": tilted}),
+        (
+            rf"start breaks `upright` by {amount:.3g} rad: rotation about . .* \(it tilts by \d+°\)",
+            {"start": tilted},
+        ),
     ):
         with pytest.raises(InvalidProblemError, match=pattern):
             check_problem(replace(problem, **changes))
+
+
+def test_the_reasons_why_there_is_no_goal_are_named(problem):
+    """Out of reach: distance and reach; in collision: pieces and how often; against the constraint: bound, degrees."""
+    at_goal = problem.robot.pose(problem.goals[0])
+
+    def why(T, **changes):
+        region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
+        return replace(problem, goals=np.empty((0, 7)), goal_region=region, **changes).why_no_goal()
+
+    assert re.fullmatch(
+        r"they lie 3.\d\d m or more from panda_joint1, the hand reaches 0.86 m",
+        why(pose((3, 0, 0)) @ at_goal),
+    )
+    buried = why(at_goal, scene=with_brick(problem, at_goal @ pose((0, 0, 0.1))))
+    assert re.match(
+        r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+", buried
+    )
+    quarter = pose((0, 0, 0))[:, [2, 1, 0, 3]] * [1, 1, -1, 1]  # a turn about y
+    tilted = at_goal @ quarter
+    assert re.search(r"every pose breaks `upright` by .*it tilts by \d\d°\)", why(tilted))
+    goals = problem.goals[:3].copy()
+    goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
+    wide = TaskSpaceRegion(np.eye(4), np.eye(4), np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3))
+    with pytest.raises(
+        InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"
+    ):
+        check_problem(replace(problem, goals=goals, goal_region=wide))
 
 
 def with_brick(problem, T):

@@ -1,12 +1,12 @@
-"""How much of its bounds a path uses: for every bounded entry, the state closest to a bound or furthest over it."""
+"""How much of its bounds a path uses: the state closest to each bound or furthest over it; which bound is broken."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.poses import rotation_vectors
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegion
+from cvqmpt_lab.poses import rotation_matrices, rotation_vectors
 from cvqmpt_lab.robot.robot import Robot
 
 ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
@@ -57,6 +57,39 @@ def bound_usage(robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.nda
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
     """Where the end effector stands in a region, (m, 6): position [m] and rotation vector [rad] that `Bw` bounds."""
-    poses, references = robot.poses(states), region.reference_poses(robot, states)
+    return displaced(region, robot.poses(states), region.reference_poses(robot, states))
+
+
+def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
+    """The same (m, 6) of end-effector poses (m, 4, 4), where the region's frame stands at references (1 or m, 4, 4)."""
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
     return np.hstack([T[:, :3, 3], rotation_vectors(T[:, :3, :3])])
+
+
+KINDS = {
+    (4, 5): "upright",
+    (3, 4, 5): "fixed-orientation",
+    (2,): "plane",
+    (0, 1): "line",
+    tuple(range(6)): "pose",
+}
+"""Names of regions in problem files (see `named`) by the rows that they bound."""
+
+
+def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
+    """Which bound the displacement of (m, 6) that breaks a region least breaks most, and by how much.
+
+    "`upright` by 0.41 rad: rotation about y 0.51 of 0.1 rad (it tilts by 29°)"; "" when one keeps the region to 1e-4.
+    """
+    rows = region.bounded_rows
+    lower, upper = region.Bw[rows].T
+    excess = np.maximum(lower - x[:, rows], x[:, rows] - upper)
+    k = int(excess.max(axis=1, initial=-np.inf).argmin())
+    if excess[k].max(initial=-np.inf) <= TOLERANCE:
+        return ""
+    row = int(rows[excess[k].argmax()])
+    use = BoundUse(0, row, float(x[k, row]), *map(float, region.Bw[row]))
+    kind = KINDS.get(tuple(rows.tolist()), "the region")
+    tilt = np.degrees(np.arccos(np.clip(rotation_matrices(x[k, None, 3:])[0, 0, 0], -1.0, 1.0)))
+    tilts = f" (it tilts by {tilt:.0f}°)" if kind == "upright" else ""
+    return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{tilts}"

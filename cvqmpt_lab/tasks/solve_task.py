@@ -175,6 +175,7 @@ class _Run:
         reason = step.reason
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
+            reason = "; ".join(filter(None, (reason, problem.why_no_goal())))
         else:
             try:
                 solution = self._solve(problem.with_goals(step.goals), fallback)
