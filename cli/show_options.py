@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.options import writable_file
+from cli.options import ProgressBar, writable_file
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
@@ -58,7 +58,7 @@ def show_solution(
     if args.save and args.save.suffix in FILMS:
         from cvqmpt_lab.show.film import film_solution
 
-        film_solution(solution, args.save, carried=carried)
+        film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
     recording = args.save if args.save and args.save.suffix == RECORDING else None
     if recording or args.view:
@@ -76,7 +76,7 @@ def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
     if args.save and args.save.suffix in FILMS:
         from cvqmpt_lab.show.film import film_task
 
-        film_task(solution, args.save)
+        film_task(solution, args.save, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
     elif args.save:
         from cvqmpt_lab.show.recording import log_task

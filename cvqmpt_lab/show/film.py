@@ -2,7 +2,7 @@
 
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +49,15 @@ LEGEND_LETTERS = 42  # that fit side by side below a film
 COLOURS, PALETTE_FRAMES = 128, 6  # of a gif, and the frames that they are chosen for
 
 
+Progress = Callable[[int, int], None]  # told how many pictures of how many are drawn
+
+
 def film_solution(
-    solution: Solution, path: Path, size: tuple[int, int] = (600, 400), carried: Sequence[Attachment] = ()
+    solution: Solution,
+    path: Path,
+    size: tuple[int, int] = (600, 400),
+    carried: Sequence[Attachment] = (),
+    progress: Progress = lambda done, total: None,
 ) -> None:
     """Write a film of the robot on its path, or of the start alone without one; the suffix chooses gif or mp4.
 
@@ -77,6 +84,7 @@ def film_solution(
         for layer, view in zip(layers, views, strict=True):
             blend(picture, layer, view, stage.viewpoint)
         pictures.append(np.concatenate([eight_bit(picture.image), legend]))
+        progress(len(pictures), len(states))
     save_film(pictures, path)
 
 
@@ -123,7 +131,12 @@ def _write_mp4(frames: Sequence[np.ndarray], path: Path) -> None:
 WRITERS = {".gif": _write_gif, ".mp4": _write_mp4}  # by the suffix of the file
 
 
-def film_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> None:
+def film_task(
+    solution: TaskSolution,
+    path: Path,
+    size: tuple[int, int] = (600, 450),
+    progress: Progress = lambda done, total: None,
+) -> None:
     """Write a film of a task, the name of the phase below; the suffix chooses gif or mp4.
 
     size: width and height [pixels], without the name.
@@ -142,6 +155,7 @@ def film_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 
         ]
         picture = eight_bit(stage.picture([*_arm(frame), *items]).image)
         pictures.append(np.concatenate([picture, strip([Label(frame.phase)], size[0], NAME_LETTERS)]))
+        progress(len(pictures), len(chosen))
     save_film(pictures, path)
 
 

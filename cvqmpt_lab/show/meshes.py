@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -51,6 +52,7 @@ LOAD_COLOUR: Colour = (0.86, 0.24, 0.20)
 TRACE_COLOUR: Colour = (0.96, 0.55, 0.05)
 BEAD_RADIUS, BEAD_SPACING = 0.008, 0.012  # [m] of the hand's trace
 CLOUD_BALLS = 4000  # of a cloud that are drawn; of a larger one some, larger
+MOST_CORNERS = 300  # of a convex piece that is drawn
 SMOOTH = np.cos(0.7)  # facets of a hull that meet at less than 0.7 rad are shaded as one curved surface
 
 
@@ -96,7 +98,18 @@ def poses_along(robot: Robot, states: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def hull_mesh(vertices: np.ndarray) -> Mesh:
-    """The convex hull of vertices (n, 3)."""
+    """The convex hull of vertices (n, 3); of more than MOST_CORNERS, those that lie farthest in as many directions."""
+    return _hull_mesh(np.ascontiguousarray(vertices, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=512)  # a robot's pieces are asked for in every pose
+def _hull_mesh(coordinates: bytes) -> Mesh:
+    vertices = np.frombuffer(coordinates).reshape(-1, 3)
+    if len(vertices) > MOST_CORNERS:
+        even = vertices / np.maximum(
+            np.ptp(vertices, axis=0), 1e-9
+        )  # flat pieces need corners all round, too
+        vertices = vertices[np.unique((even @ _sphere_points(MOST_CORNERS).T).argmax(axis=0))]
     hull = ConvexHull(vertices)
     facing, faces = hull.equations[:, :3], hull.simplices
     twice_area = np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))

@@ -17,6 +17,7 @@ from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.show.marks import CONSTRAINT_COLOUR, constraint_marks, hand_axes
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
     GOAL_COLOUR,
@@ -46,6 +47,7 @@ SUPERSAMPLING = 2
 HIDDEN = ("walls/right",)  # scene objects that stand between the usual viewpoint and the robot
 PANEL_GAP = 6  # [pixels] between the pictures of a task
 COLUMNS = 3  # of pictures of a task
+COINCIDE = 0.01  # [m] a surface this close behind or before one that is drawn already is the same surface
 LEGEND_SHARE = 0.2  # of a picture's height; pictures too small for their legend have none
 INK, PAPER = (40, 40, 44), (255, 255, 255)
 SMALLEST_FONT = 11  # [pixels]; the font is larger under wide pictures
@@ -103,6 +105,8 @@ def draw_solution(
 ) -> None:
     """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, the hand's trace, a legend.
 
+    The constraint is drawn as `constraint_marks` says, the hand's axes at start and goal.
+
     size: width and height [pixels], legend included. ghosts: number of poses shown between start and goal.
     carried: what the hand is shown with where the problem does not model it.
     """
@@ -118,9 +122,9 @@ def draw_solution(
         list(_translucent(problem, states, ghosts)),
         robot_meshes(problem, problem.start, ROBOT_COLOUR),
     )
-    stage = clear_stage(problem, [joined(start), *(layer.mesh for layer in layers[-2:])], size)
+    stage = clear_stage(problem, [joined(start), *(layer.mesh for layer in layers[:1] + layers[-1:])], size)
     picture = stage.picture(start)
-    for layer in layers:
+    for layer in [*layers, *_marks(problem, states)]:
         blend(picture, layer, rasterise(layer.mesh, stage.viewpoint, stage.shape), stage.viewpoint)
     write_png(Path(path), np.concatenate([eight_bit(picture.image), legend]))
 
@@ -170,9 +174,17 @@ def clear_stage(
 
 
 def blend(picture: Picture, layer: Layer, view: View, viewpoint: Viewpoint) -> None:
-    """Blend a translucent mesh, of which `rasterise` gave the view, over a picture."""
+    """Blend a translucent mesh, of which `rasterise` gave the view, over a picture.
+
+    Where a body stands as another one that is drawn already, the first one alone is seen.
+    """
     at = view.rows, view.columns
     share = np.where(view.depth < picture.depth[at] - 1e-3, layer.opacity, layer.opacity_behind)[:, None]
+    if layer.opacity < 1.0:
+        for depth in (picture.depth, *picture.ghosts):
+            share[np.abs(view.depth - depth[at]) < COINCIDE] = 0.0
+        picture.ghosts.append(np.full(picture.depth.shape, np.inf, np.float32))
+        picture.ghosts[-1][at] = view.depth
     sky, sunlight = light(view.normals, viewpoint)
     colours = layer.mesh.colours[view.face] * (sky + sunlight)[:, None]
     picture.image[at] += share * (colours - picture.image[at])
@@ -191,12 +203,20 @@ def _translucent(problem: PlanningProblem, states: np.ndarray | None, ghosts: in
         for goal in problem.goals[:1]:
             yield Layer(joined(robot_meshes(problem, goal, GOAL_COLOUR)), 0.5)
         return
+    yield Layer(joined(robot_meshes(problem, states[-1], GOAL_COLOUR)), 0.55)
     travelled = travelled_along(states)
     for k in range(1, ghosts + 1):
         between = states[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))]
         yield Layer(joined(robot_meshes(problem, between, GHOST_COLOUR)), 0.25)
-    yield Layer(joined(robot_meshes(problem, states[-1], GOAL_COLOUR)), 0.55)
     yield Layer(beads(poses_along(problem.robot, states)[1][:, :3, 3], TRACE_COLOUR), 1.0, 0.45)
+
+
+def _marks(problem: PlanningProblem, states: np.ndarray | None) -> Iterator[Layer]:
+    """The constraint and the hand's axes."""
+    states = problem.start[None] if states is None else states
+    for mark in constraint_marks(problem, states):
+        yield Layer(mark, 0.3, 0.12)
+    yield Layer(joined(hand_axes(problem, q) for q in states[[0, -1]]), 1.0, 0.5)
 
 
 def _legend(problem: PlanningProblem, solved: bool, ghosts: int) -> list[Label]:
@@ -206,6 +226,7 @@ def _legend(problem: PlanningProblem, solved: bool, ghosts: int) -> list[Label]:
     if solved or len(problem.goals):
         labels.append(Label("goal", GOAL_COLOUR))
     labels.append(Label("path of the hand", TRACE_COLOUR) if solved else Label("no path found"))
+    labels += [Label("constraint", CONSTRAINT_COLOUR)] if problem.constraint else []
     labels += [Label(item.name.replace("_", " "), LOAD_COLOUR) for item in problem.attachments]
     return labels
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Picture:
 
     image: np.ndarray  # (rows, columns, 3), each channel in [0, 1]
     depth: np.ndarray  # (rows, columns) [m], inf where nothing solid is
+    ghosts: list[np.ndarray] = field(default_factory=list)  # the same of each translucent layer over it
 
 
 class Shadow:

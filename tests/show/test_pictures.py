@@ -8,9 +8,31 @@ from matplotlib.image import imread
 from PIL import Image
 from rerun.chunk import RrdReader
 
+from cvqmpt_lab.codec.plain import from_plain
+from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.show import film, task_frames
-from cvqmpt_lab.show.picture import NAME_LETTERS, Label, draw_solution, draw_task, strip
+from cvqmpt_lab.show.marks import constraint_marks
+from cvqmpt_lab.show.meshes import (
+    GOAL_COLOUR,
+    MOST_CORNERS,
+    ROBOT_COLOUR,
+    Viewpoint,
+    hull_mesh,
+    joined,
+    rasterise,
+    robot_meshes,
+)
+from cvqmpt_lab.show.picture import (
+    NAME_LETTERS,
+    Label,
+    Layer,
+    blend,
+    draw_solution,
+    draw_task,
+    stage_of,
+    strip,
+)
 from cvqmpt_lab.show.recording import TASK_TIMELINE, log_task
 from experiments.suites.multi_sequence import CAN_NAME
 from experiments.suites.place_task import DOOR
@@ -24,6 +46,54 @@ def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
     assert orange.sum() > 20
     draw_solution(replace(solution, simplified=None), tmp_path / "b.png", (180, 120))
     assert not (np.subtract(*imread(tmp_path / "b.png").T[[0, 2]]) > 0.35).any()
+
+
+def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(20_000, 3))
+    plate = points / np.linalg.norm(points, axis=1)[:, None] * (0.3, 0.2, 0.01)
+    mesh = hull_mesh(plate)
+    assert mesh is hull_mesh(plate.copy()) and len(mesh.corners) < 2 * MOST_CORNERS
+    directions = rng.normal(size=(200, 3))
+    drawn, whole = (
+        np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate)
+    )
+    assert (drawn <= whole + 1e-12).all() and (drawn > 0.98 * whole).all()
+
+
+def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
+    stage = stage_of(problem, Viewpoint(), (60, 40))
+    picture = stage.picture(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+    before = picture.image.copy()
+    ghost = Layer(joined(robot_meshes(problem, problem.start, GOAL_COLOUR)), 0.5)
+    blend(picture, ghost, rasterise(ghost.mesh, stage.viewpoint, stage.shape), stage.viewpoint)
+    assert np.array_equal(picture.image, before)
+
+
+@pytest.mark.parametrize(
+    ("region", "extent"),
+    [
+        ({"plane": {"normal": [0, 1, 0], "point": [0.4, 0.1, 0.5]}}, (0, 1, 0)),
+        ({"line": {"direction": [1, 0, 0], "point": [0.4, 0.1, 0.5]}}, (0, 1, 1)),
+    ],
+)
+def test_planes_and_lines_are_drawn_where_the_hand_may_be(problem, region, extent):
+    bounded = replace(problem, constraint=(from_plain(Region, region, "region"),))
+    (mark,) = constraint_marks(bounded, problem.start[None])
+    low, high = mark.corners.min(axis=(0, 1)), mark.corners.max(axis=(0, 1))
+    assert ((high - low < 0.01) == np.array(extent, dtype=bool)).all()
+    assert (0.5 * (low + high))[np.array(extent, dtype=bool)] == pytest.approx(
+        np.array([0.4, 0.1, 0.5])[np.array(extent, dtype=bool)]
+    )
+
+
+def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem):
+    cone, _ = constraint_marks(problem, problem.start[None])[:2]
+    apex = problem.robot.pose(problem.start)[:3, 3]
+    rays = cone.corners.reshape(-1, 3) - apex
+    rays = rays[np.linalg.norm(rays, axis=1) > 1e-6]
+    angles = np.arccos(rays[:, 2] / np.linalg.norm(rays, axis=1))
+    assert angles == pytest.approx(problem.constraint[0].Bw[4, 1], abs=1e-6)
 
 
 def test_unwritable_picture_is_refused(unsolved, tmp_path):
