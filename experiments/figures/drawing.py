@@ -14,11 +14,10 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.files import write_bytes, write_text
 from cvqmpt_lab.results.statistics import Interval
+from paper_tables.planner_styles import line_style
 
 FORMATS = ("png", "svg")
 DPI = 160
-COLOURS = ("#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d")
-DASHES = ("-", "--", ":")
 FEW = 12  # points, each of which is marked
 LONG = 2.2  # powers of ten: a longer x axis is labelled at these alone
 REFERENCE_COLOUR = "0.55"
@@ -72,7 +71,7 @@ def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
     axes_of = figure.subplots(rows, columns, squeeze=False).ravel()
     names = list(dict.fromkeys(name for panel in panels for name in panel.lines))
     for axes, panel in zip(axes_of, panels, strict=False):
-        _draw(axes, panel, names)
+        _draw(axes, panel)
     for axes in axes_of[len(panels) :]:
         axes.axis("off")
     labelled = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in axes_of]
@@ -88,18 +87,17 @@ def panels_figure(panels: Sequence[Panel], columns: int = 2) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
+def _draw(axes: Axes, panel: Panel) -> None:
     for name, line in panel.lines.items():
-        turn, colour = divmod(names.index(name), len(COLOURS))
-        shade, dash = COLOURS[colour], DASHES[turn % len(DASHES)]
+        style = line_style(name)
         known = [(x, i) for x, i in zip(panel.x, line, strict=True) if i.estimate is not None]
         x, y = [at for at, _ in known], [float(i.estimate or 0.0) for _, i in known]
         marker = "." if len(x) < FEW else ""
-        axes.plot(x, y, marker=marker, label=name, color=shade, linestyle=dash)
+        axes.plot(x, y, marker=marker, label=name, **style)
         low = [i.low for _, i in known if i.low is not None]
         high = [i.high for _, i in known if i.high is not None]
         if panel.bands and len(low) == len(high) == len(x):
-            axes.fill_between(x, low, high, color=shade, alpha=0.09, linewidth=0.0)
+            axes.fill_between(x, low, high, color=style["color"], alpha=0.09, linewidth=0.0)
     if panel.level is not None:
         axes.axhline(panel.level, linestyle=":", color=REFERENCE_COLOUR, linewidth=1.0)
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)

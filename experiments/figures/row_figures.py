@@ -32,6 +32,7 @@ from paper_tables.measures import (
     solved,
     work,
 )
+from paper_tables.planner_styles import line_style
 from paper_tables.robustness_table import DEFAULT, TITLES, levels_of
 from paper_tables.table_engine import Entry, by_planner, rows_of_one_suite
 
@@ -218,9 +219,8 @@ def _draw_level(axes: Axes, levels: Sequence[Entry], what: str) -> None:
         below = [at - (bound if bound is not None else at) for at, bound in zip(y, low, strict=True)]
         above = [(bound if bound is not None else at) - at for at, bound in zip(y, high, strict=True)]
         places = [at + shift for at in x]
-        axes.errorbar(
-            places, y, (below, above), fmt=".-", linewidth=1.0, elinewidth=0.7, capsize=2.0, label=planner
-        )
+        look = {"marker": ".", "elinewidth": 0.7, "capsize": 2.0, **line_style(planner)}
+        axes.errorbar(places, y, (below, above), label=planner, **look)
     default = next(k for k, value in enumerate(values) if value.endswith(DEFAULT))
     axes.axvline(default, linestyle=":", color="0.6")
     axes.set_xticks(range(len(values)), [value.removesuffix(DEFAULT) for value in values])

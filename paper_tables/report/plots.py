@@ -15,6 +15,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import problem_key
 from paper_tables.measures import Value
+from paper_tables.planner_styles import line_style
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -39,12 +40,6 @@ WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
 
 
-def colours(names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """A colour for each planner."""
-    table = matplotlib.colormaps["tab10" if len(names) <= 10 else "tab20"]
-    return {name: table(k % table.N) for k, name in enumerate(names)}
-
-
 def svg(figure: Figure) -> str:
     """The same figure gives the same text."""
     buffer = io.StringIO()
@@ -57,12 +52,11 @@ def svg(figure: Figure) -> str:
 def solved_curve(groups: Groups) -> str:
     """Share of runs solved within a time."""
     figure, axes = _axes(3.4)
-    for name, colour in colours(list(groups)).items():
-        rows = groups[name]
+    for name, rows in groups.items():
         times = sorted(row.t_total_s for row in rows if row.solved and row.t_total_s)
         if times:
             shares = 100.0 * np.arange(1, len(times) + 1) / len(rows)
-            axes.step([*times], shares, where="post", color=colour, label=name, linewidth=1.4)
+            axes.step([*times], shares, where="post", label=name, **line_style(name))
     _finish(axes, "time, everything counted [s]", "solved [%]")
     axes.set_ylim(0.0, 102.0)
     return svg(figure)
@@ -87,9 +81,8 @@ def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> 
         medianprops={"color": "black"},
     )
     axes.set_yticks(range(1, len(known) + 1), list(known)[::-1])
-    palette = colours(list(groups))
     for box, name in zip(boxes["boxes"], list(known)[::-1], strict=True):
-        box.set_facecolor((*palette[name][:3], 0.5))
+        box.set_facecolor((line_style(name)["color"], 0.5))
     _finish(axes, label, "", legend=False, log=log)
     return svg(figure)
 
@@ -120,13 +113,13 @@ def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
     columns = min(4, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = Figure(figsize=(WIDTH, 0.4 + 2.0 * rows), layout="constrained")
-    reference, palette = _by_problem(groups[baseline], value), colours(list(groups))
+    reference = _by_problem(groups[baseline], value)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, name in zip(panels, shown, strict=False):
         own = _by_problem(groups[name], value)
         both = sorted(own.keys() & reference.keys())
         x, y = [reference[key] for key in both], [own[key] for key in both]
-        axes.loglog(x, y, ".", color=palette[name], markersize=3.5, alpha=0.6)
+        axes.loglog(x, y, ".", color=line_style(name)["color"], markersize=3.5, alpha=0.6)
         if x:
             axes.axline((x[0], x[0]), (2.0 * x[0], 2.0 * x[0]), color="0.6", linewidth=0.8)
         axes.set_title(name, fontsize=8.5)

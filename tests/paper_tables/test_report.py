@@ -8,7 +8,9 @@ import pytest
 from made_rows import a_failure, a_results_folder, a_row
 
 from cli.main import main
+from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from paper_tables.planner_styles import COLOURS, OURS, line_style
 from paper_tables.report.page import report_html
 
 EVIL = "<script>alert(1)</script>$x$"
@@ -81,3 +83,10 @@ def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
     )
     assert "CONSOLE" not in done.stderr
     assert "<dialog" in done.stdout and "opt-cvq-mpt: rows of place-task" in done.stdout, "the script ran"
+
+
+def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
+    assert len(set(COLOURS.values())) == len(COLOURS) and set(PLANNERS) <= set(COLOURS)
+    styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
+    assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
+    assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")
