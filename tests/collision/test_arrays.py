@@ -46,10 +46,3 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is
     path.chmod(0o644)
     assert len(made) == 5
     assert stored_robot_geometry(*arm(0.9)).largest > first.largest
-
-
-def test_without_a_place_for_the_cache_arrays_are_made(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
-    assert list(stored_robot_geometry(*arm(0.6)).body_link) == [0, 1, 3]

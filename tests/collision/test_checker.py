@@ -13,6 +13,7 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
+from experiments.suites.door_task import door_problem, door_world
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
@@ -24,7 +25,8 @@ NOTHING = Scene("nothing", ())
 
 def compiled_hits(robot, scene, states, attachments=(), margin=0.0):
     """Whether the compiled checker calls each state colliding, (b,)."""
-    problem = PlanningProblem("test", robot, scene, HOME, HOME[None], attachments=attachments)
+    start = np.append(HOME, 0.0)[: robot.dof] if robot.dof >= len(HOME) else np.zeros(robot.dof)
+    problem = PlanningProblem("test", robot, scene, start, start[None], attachments=attachments)
     space = ConstrainedSpace(problem, settings=SpaceSettings(margin=margin))
     return np.array([not space.valid(q) for q in states])
 
@@ -45,11 +47,15 @@ def near_contact(checker, rng, count):
     )
 
 
-def compare(robot, scene, count, attachments=(), margin=0.0):
-    """Assert agreement on `count` uniform and `count` near-contact states."""
+def compare(robot, scene, count, attachments=(), margin=0.0, around=None):
+    """Assert agreement on `count` uniform and `count` near-contact states, or on states around a given one."""
     rng = np.random.default_rng(0)
     exact, close = (CollisionChecker(robot, scene, attachments, margin + extra) for extra in (0.0, CLOSE))
-    for states in (robot.random_configurations(rng, count), near_contact(exact, rng, count)):
+    if around is None:
+        near = near_contact(exact, rng, count)
+    else:
+        near = np.clip(around + 0.15 * rng.standard_normal((count, robot.dof)), robot.lower, robot.upper)
+    for states in (robot.random_configurations(rng, count), near):
         expected = exact.in_collision_batch(states)
         answers = compiled_hits(robot, scene, states, attachments, margin)
         missed = [exact.clearance(q) - margin for q in states[expected & ~answers]]
@@ -95,15 +101,17 @@ def test_both_checkers_agree(panda, scene, count, attachments, margin):
     compare(panda, scene, count, attachments, margin)
 
 
+def test_both_checkers_agree_with_a_door_in_the_hand():
+    scene, robot = door_world()
+    compare(robot, scene, 2000, margin=1e-4, around=door_problem(0).start)
+
+
 def test_another_robot(slider_arm):
     """Boxes, cylinders and spheres as links, a slider, no SRDF; round links are circumscribed, so contact is loose."""
     scene, rng = with_one_of_each(), np.random.default_rng(0)
     checker = CollisionChecker(slider_arm, scene)
     states = np.concatenate([slider_arm.random_configurations(rng, 3000), near_contact(checker, rng, 3000)])
-    expected = checker.in_collision_batch(states)
-    problem = PlanningProblem("test", slider_arm, scene, np.zeros(4), np.zeros((1, 4)))
-    space = ConstrainedSpace(problem, settings=SpaceSettings(margin=0.0))
-    answers = np.array([not space.valid(q) for q in states])
+    expected, answers = checker.in_collision_batch(states), compiled_hits(slider_arm, scene, states)
     missed = [checker.clearance(q) for q in states[expected & ~answers]]
     assert expected.any() and [depth for depth in missed if depth < -CONTACT] == []
     assert (answers & ~expected)[:3000].mean() < 0.05
@@ -180,8 +188,9 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     compare(panda, scene, 2000, margin=1e-4)
 
 
-def test_nan_configurations_collide(panda):
-    assert compiled_hits(panda, NOTHING, np.full((1, 7), np.nan)).all()
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_configurations_that_are_not_finite_collide(panda, value):
+    assert compiled_hits(panda, NOTHING, np.array([HOME, np.full(7, value)])).tolist() == [False, True]
 
 
 def test_obstacles_outside_the_grid_are_still_seen(panda):

@@ -1,4 +1,4 @@
-"""The compiled collision core against coal: never free in contact, hardly ever in contact when free."""
+"""What the compiled collision checks are made of, against coal: pairs of shapes, balls and pieces, distance grid."""
 
 import coal
 import numpy as np
@@ -7,16 +7,15 @@ from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.collision.checker import FREE, first_contact
 from cvqmpt_lab.collision.clusters import Cloud
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
-from cvqmpt_lab.collision.geometry import robot_geometry, scene_geometry
+from cvqmpt_lab.collision.geometry import scene_geometry
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, IDENTITY, SPHERE, distance, separating_gap
 from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.errors import InvalidInputError
 
-first_contact, cell_of, known_distance = map(from_python, (first_contact, cell_of, known_distance))
+cell_of, known_distance = map(from_python, (cell_of, known_distance))
 distance, separating_gap = map(from_python, (distance, separating_gap))
 MARGIN = 1e-4
 NO_VERTICES = np.empty((0, 3))
@@ -172,99 +171,6 @@ def test_grid_never_overestimates_and_is_not_idle():
     assert np.max(slack) < 2.5 * scene.grid.cell
     assert np.median(slack) < scene.grid.cell
     assert not cell_of(scene.grid, 0.0, 0.0, 9.0)[3]
-
-
-def random_scene(rng):
-    specs = [random_spec(rng, int(kind), 0.4, 0.15) for kind in rng.integers(0, 4, 10)]
-    clouds = [
-        balls(rng.normal(size=(100, 3)) * (0.01, 0.1, 0.1) + (0.3, 0.0, 0.0), 0.004),
-        balls(rng.normal(size=(40, 3)) * 0.05 - (0.3, 0.3, 0.0), 0.01),
-    ]
-    return specs, clouds
-
-
-def coal_scene(specs, clouds):
-    """One list of coal objects per obstacle."""
-    objects = [[coal_object(spec)] for spec in specs]
-    for cloud in clouds:
-        ball = coal.Sphere(cloud.radius)
-        objects.append([(ball, coal.Transform3s(np.eye(3), point)) for point in cloud.centre])
-    return objects
-
-
-def random_poses(rng, n):
-    R = Rotation.from_rotvec(rng.normal(size=(n, 3))).as_matrix()
-    return np.ascontiguousarray(R), 0.5 * rng.normal(size=(n, 3))
-
-
-LINK = [0, 1, 1, 2, 3, 3]
-PAIRS = [(0, 3), (0, 4), (1, 4), (2, 4), (3, 5)]
-
-
-def random_robot(rng):
-    """Six geometries of all kinds on four links, link 0 being the world."""
-    return [random_spec(rng, kind, 0.05, 0.15) for kind in (HULL, HULL, BOX, CYLINDER, HULL, SPHERE)]
-
-
-def exact_distances(robot, R, p, objects):
-    """Coal's distance of every (geometry, obstacle) and (geometry, -1 - other) that is checked."""
-    placed = [coal_object(spec, pose(R[link], p[link])) for spec, link in zip(robot, LINK, strict=True)]
-    found = {}
-    for i, link in enumerate(LINK):
-        if link != 0:
-            for k, parts in enumerate(objects):
-                found[i, k] = min(coal_distance(placed[i], part) for part in parts)
-    for i, k in PAIRS:
-        found[i, -1 - k] = found[k, -1 - i] = coal_distance(placed[i], placed[k])
-    return found
-
-
-@pytest.mark.parametrize("cell", [0.03, 0.08])
-def test_states_agree_with_coal(cell):
-    """Random robots, scenes and link poses, inside the grid and outside it."""
-    rng = np.random.default_rng(int(1000 * cell))
-    free = 0
-    for _ in range(2):
-        robot, (specs, clouds) = random_robot(rng), random_scene(rng)
-        geometry = robot_geometry(robot, LINK, PAIRS)
-        scene = scene_geometry(specs, LOWER, UPPER, cell, clouds)
-        objects = coal_scene(specs, clouds)
-        for _ in range(60):
-            R, p = random_poses(rng, 4)
-            exact = exact_distances(robot, R, p, objects)
-            contact = first_contact(R, p, geometry, scene, MARGIN)
-            if contact == (-1, -1):
-                free += 1
-                assert min(exact.values()) > MARGIN - 2e-6
-            else:
-                assert exact[contact] <= 2e-4
-    assert 10 < free < 110
-
-
-def test_empty_scene_and_world_geometry():
-    rng = np.random.default_rng(9)
-    robot = random_robot(rng)
-    R, p = random_poses(rng, 4)
-    p[1:] += np.array([[3.0, 0, 0], [6.0, 0, 0], [9.0, 0, 0]])
-    empty = scene_geometry([], LOWER, UPPER)
-    wall = scene_geometry([ShapeSpec(BOX, (9.0, 9.0, 9.0), NO_VERTICES, pose())], LOWER, UPPER)
-    geometry = robot_geometry(robot, LINK, PAIRS)
-    assert first_contact(R, p, geometry, empty, MARGIN) == (-1, -1)
-    assert first_contact(R, p, geometry, wall, MARGIN)[1] == 0
-    fixed = robot_geometry(robot, [0] * 6, [])
-    assert first_contact(R, p, fixed, wall, MARGIN) == (-1, -1)
-
-
-def test_a_pose_that_is_not_finite_is_a_collision():
-    rng = np.random.default_rng(10)
-    geometry, empty = robot_geometry(random_robot(rng), LINK, []), scene_geometry([], LOWER, UPPER)
-    for bad in (np.nan, np.inf):
-        R, p = random_poses(rng, 4)
-        p[2, 1] = bad
-        assert first_contact(R, p, geometry, empty, MARGIN)[0] != FREE
-        R, p = random_poses(rng, 4)
-        R[3, 0, 2] = bad
-        assert first_contact(R, p, geometry, empty, MARGIN)[0] != FREE
 
 
 @pytest.mark.parametrize(

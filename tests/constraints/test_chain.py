@@ -1,4 +1,4 @@
-"""Regions on moving frames: residual, Jacobian with the door's column, projection, json; doors opened and certified."""
+"""Regions on moving frames: projection, json, errors; doors opened and certified."""
 
 import json
 from dataclasses import replace
@@ -22,8 +22,6 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
@@ -39,20 +37,10 @@ from experiments.suites.door_task import (
 )
 from experiments.suites.place_task import DOOR
 
-KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
-DRAWER = "indigo_drawer_top"
-
 
 @pytest.fixture(scope="module")
 def door_robot():
     return door_world()[1]
-
-
-@pytest.fixture(scope="module")
-def drawer_robot(panda):
-    return robot_from_source(
-        {**panda.source, "articulated": to_plain(take_out(kitchen(), DRAWER).articulated)}
-    )
 
 
 @pytest.fixture(scope="module")
@@ -66,69 +54,10 @@ def opened(door):
     return solve(door, planner_named("birrt"), Budget(iterations=5000), seed=0)
 
 
-def random_pose(rng):
-    T = np.eye(4)
-    T[:3, :3] = Rotation.random(rng=rng).as_matrix()
-    T[:3, 3] = rng.uniform(-0.5, 0.5, 3)
-    return T
-
-
-def random_chain(rng, base):
-    centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
-    return TaskSpaceRegionChain(
-        random_pose(rng), random_pose(rng), np.stack([centre - width, centre + width], axis=1), base
-    )
-
-
 def displacement(robot, chain, q):
     """Position and rotation vector (6,) of the hand in the chain's frame w, by pinocchio and scipy."""
     T = np.linalg.inv(robot.pose(q, chain.base) @ chain.T0_w) @ robot.pose(q) @ np.linalg.inv(chain.Tw_e)
     return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
-
-
-def cases(robot, bases, count):
-    """(chain, q, displacement) away from kinks."""
-    rng = np.random.default_rng(7)
-    while count:
-        chain = random_chain(rng, bases[count % len(bases)])
-        q = robot.random_configurations(rng, 1)[0]
-        x = displacement(robot, chain, q)
-        if np.linalg.norm(x[3:]) < np.pi - 0.1 and np.abs(x[:, None] - chain.Bw).min() > KINK:
-            count -= 1
-            yield chain, q, x
-
-
-def parts_of(robot, name):
-    return [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
-
-
-@pytest.mark.parametrize("name", [DOOR, DRAWER])
-def test_residual_is_the_definition(request, name):
-    robot = request.getfixturevalue("door_robot" if name == DOOR else "drawer_robot")
-    for chain, q, x in cases(robot, [*parts_of(robot, name), "panda_link3"], 60):
-        lower, upper = chain.Bw.T
-        expected = np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0)
-        np.testing.assert_allclose(RegionConstraint(robot, (chain,)).residual(q), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", [DOOR, DRAWER])
-def test_jacobian_is_the_derivative(request, name):
-    """All eight columns; that of the door or drawer is not zero."""
-    robot = request.getfixturevalue("door_robot" if name == DOOR else "drawer_robot")
-    h, largest = 1e-6, 0.0
-    for chain, q, _ in cases(robot, parts_of(robot, name), 40):
-        constraint = RegionConstraint(robot, (chain,))
-        residual, jacobian = constraint.residual_and_jacobian(q, full=True)
-        columns = [
-            (displacement(robot, chain, q + h * e) - displacement(robot, chain, q - h * e)) / (2 * h)
-            for e in np.eye(8)
-        ]
-        np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), atol=1e-6)
-        largest = max(largest, np.abs(jacobian[:, 7]).max())
-        np.testing.assert_array_equal(
-            constraint.residual_and_jacobian(q)[1], np.where(residual[:, None] != 0, jacobian, 0.0)
-        )
-    assert largest > 0.1
 
 
 def test_projection_lands_on_the_handle(door_robot):

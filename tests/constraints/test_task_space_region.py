@@ -1,4 +1,4 @@
-"""Task-space regions: residual, Jacobian, sampling, json, against pinocchio and scipy."""
+"""Task-space regions and chains of them: residual, Jacobian, sampling, json, against pinocchio and scipy."""
 
 import json
 
@@ -8,11 +8,33 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion, stack_regions, upright
+from cvqmpt_lab.constraints.task_space_region import (
+    RegionConstraint,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+    stack_regions,
+    upright,
+)
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.articulation import take_out
+from cvqmpt_lab.scene.kitchen import kitchen
+from experiments.suites.place_task import DOOR
 
 KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
 FREE = (-np.inf, np.inf)
+ROBOTS = ("panda", "slider_arm", DOOR, "indigo_drawer_top")
+
+
+@pytest.fixture
+def robot_and_bases(request):
+    """A robot, and the frames that regions hang on; of an arm with a door or drawer, its parts and a link."""
+    if request.param in ROBOTS[:2]:
+        return request.getfixturevalue(request.param), [None]
+    item = to_plain(take_out(kitchen(), request.param).articulated)
+    robot = robot_from_source({"name": "panda", "articulated": item})
+    parts = [frame for frame in robot.frame_names if frame.startswith(f"{request.param}/")]
+    return robot, [*parts, "panda_link3"]
 
 
 def random_pose(rng, spread=0.5):
@@ -22,13 +44,14 @@ def random_pose(rng, spread=0.5):
     return T
 
 
-def random_region(rng):
-    """Random frames and bounds; about a third of the entries free or bounded on one side only."""
+def random_region(rng, base=None):
+    """Random frames and bounds; about a third of the rows free or bounded on one side only."""
     centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
     Bw = np.stack([centre - width, centre + width], axis=1)
     Bw[rng.random((6, 2)) < 0.2] = np.inf
     Bw[:, 0] = np.where(np.isinf(Bw[:, 0]), -np.inf, Bw[:, 0])
-    return TaskSpaceRegion(random_pose(rng), random_pose(rng), Bw)
+    frames = random_pose(rng), random_pose(rng)
+    return TaskSpaceRegionChain(*frames, Bw, base) if base else TaskSpaceRegion(*frames, Bw)
 
 
 def box(half, **changes):
@@ -43,6 +66,12 @@ def displacement(region, T_world_e):
     return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
+def of_hand(robot, region, q):
+    """The displacement (6,) of the hand at q, seen from the frame that the region hangs on."""
+    base = robot.pose(q, region.base) if isinstance(region, TaskSpaceRegionChain) else np.eye(4)
+    return displacement(region, np.linalg.inv(base) @ robot.pose(q))
+
+
 def outside(region, x):
     """Signed distance of displacements (6,) outside the bounds, bounded rows only."""
     lower, upper = region.Bw.T
@@ -55,46 +84,45 @@ def differences(function, q, h=1e-6):
     return np.stack([(function(q + s) - function(q - s)) / (2 * h) for s in steps], axis=-1)
 
 
-def random_cases(robot, count):
+def random_cases(robot, bases, count):
     """(region, q) with the rotation away from angle pi."""
     rng = np.random.default_rng(5)
     while count:
-        region, q = random_region(rng), robot.random_configurations(rng, 1)[0]
-        if np.linalg.norm(displacement(region, robot.pose(q))[3:]) < np.pi - KINK:
+        region, q = random_region(rng, bases[count % len(bases)]), robot.random_configurations(rng, 1)[0]
+        if np.linalg.norm(of_hand(robot, region, q)[3:]) < np.pi - KINK:
             count -= 1
             yield region, q
 
 
-@pytest.mark.parametrize("name", ["panda", "slider_arm"])
-def test_residual_is_the_signed_distance_outside(name, request):
-    robot = request.getfixturevalue(name)
-    signs = set()
-    for region, q in random_cases(robot, 200):
+@pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
+def test_residual_is_the_signed_distance_outside(robot_and_bases):
+    signs, robot = set(), robot_and_bases[0]
+    for region, q in random_cases(*robot_and_bases, 200):
         residual = RegionConstraint(robot, (region,)).residual(q)
-        np.testing.assert_allclose(residual, outside(region, displacement(region, robot.pose(q))), atol=1e-9)
+        np.testing.assert_allclose(residual, outside(region, of_hand(robot, region, q)), atol=1e-9)
         signs |= set(np.sign(residual))
     assert signs == {-1.0, 0.0, 1.0}
 
 
-@pytest.mark.parametrize("name", ["panda", "slider_arm"])
-def test_jacobian_is_the_residual_s_derivative(name, request):
+@pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
+def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
     """Both forms, against finite differences of an independent residual; rows on a kink are skipped."""
-    robot = request.getfixturevalue(name)
-    compared = 0
-    for region, q in random_cases(robot, 200):
+    compared, robot, columns = 0, robot_and_bases[0], 0.0
+    for region, q in random_cases(*robot_and_bases, 200):
         constraint, rows = RegionConstraint(robot, (region,)), region.bounded_rows
         lower, upper = region.Bw[rows].T
-        x = displacement(region, robot.pose(q))[rows]
+        x = of_hand(robot, region, q)[rows]
         smooth = np.minimum(abs(x - lower), abs(x - upper)) > KINK
-        expected = differences(lambda q, r=region: displacement(r, robot.pose(q))[r.bounded_rows], q)
+        expected = differences(lambda q, r=region: of_hand(robot, r, q)[r.bounded_rows], q)
         np.testing.assert_allclose(constraint.residual_and_jacobian(q, full=True)[1], expected, atol=2e-6)
+        columns = np.maximum(columns, np.abs(expected).max(axis=0, initial=0.0))
         active = (x < lower) | (x > upper)
         expected = np.where(active[:, None], expected, 0.0)
         np.testing.assert_allclose(
             constraint.residual_and_jacobian(q)[1][smooth], expected[smooth], atol=2e-6
         )
         compared += smooth.sum()
-    assert compared > 800
+    assert compared > 800 and columns.min() > 0.1, "every joint moves the hand, or the frame of the region"
 
 
 def test_batches_and_intersections_stack_what_each_member_says_of_each_configuration(panda):

@@ -93,20 +93,16 @@ def test_what_touches_is_not_doubtful_but_refused(problem):
 
 
 @pytest.mark.parametrize(
-    ("shape", "message"),
+    ("shape", "x", "message"),
     [
-        (Cylinder(3e5, 0.1), r"attachment 'can' reaches 3e\+05 m, more than 20"),
-        (
-            Cylinder(5.0, 5.0),
-            r"attachment 'can' is .* 5 m large, too large to plan with: give sizes in metres",
-        ),
-        (Box((15.0, 15.0, 0.01)), r"attachment 'can' is 15 x 15 x .* m large"),
+        (Cylinder(3e5, 0.1), 0.0, r"attachment 'can' reaches 3e\+05 m, more than 20"),
+        (Box((0.1,) * 3), 50.0, r"attachment 'can' reaches 50\.1 m, more than 20"),
+        (Cylinder(5.0, 5.0), 0.0, r"attachment 'can' is .* 5 m large, too large to plan with: give sizes in"),
+        (Box((15.0, 15.0, 0.01)), 0.0, r"attachment 'can' is 15 x 15 x .* m large"),
     ],
 )
-def test_what_is_too_large_to_carry_is_named_before_it_is_cut_into_pieces(
-    problem, monkeypatch, shape, message
-):
+def test_what_is_too_large_to_carry_is_named_before_it_is_cut(problem, monkeypatch, shape, x, message):
     monkeypatch.setattr(collision_arrays, "stored_robot_geometry", lambda *given: pytest.fail("it was cut"))
-    carried = (Attachment("can", shape, np.eye(4)),)
+    carried = (Attachment("can", shape, pose((x, 0.0, 0.0))),)
     with pytest.raises(InvalidInputError, match=message):
         collision_arrays.robot_arrays(problem.robot, carried)
