@@ -158,6 +158,18 @@ def test_what_belongs_to_another_user_is_not_used(cache, recwarn, path):
     assert trusted_cache(cache) != cache and "another user (id 12345)" in str(recwarn.list[0].message)
 
 
+def test_without_a_place_for_the_cache_a_temporary_one_is_used_and_without_that_none(
+    cache, recwarn, tmp_path, monkeypatch
+):
+    """Nobody, root included, can make a folder below a file."""
+    for temporary in (tmp_path / "temporary", cache / "file"):
+        monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+        monkeypatch.setattr(files, "_WARNED", threading.Event())
+        found, told = trusted_cache(cache / "file" / "below"), str(recwarn.pop(UserWarning).message)
+        assert f"{cache}/file/below is not writable" in told and "set XDG_CACHE_HOME and NUMBA_CACHE" in told
+        assert (found is None) == ("everything is computed again" in told) == (temporary == cache / "file")
+
+
 @pytest.mark.parametrize(("named", "kept"), [("", "~/.cache"), ("here", "here"), ("/a/b", "/a/b")])
 def test_the_cache_lies_where_the_environment_says(tmp_path, monkeypatch, named, kept):
     monkeypatch.setenv("XDG_CACHE_HOME", named)

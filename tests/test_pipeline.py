@@ -98,3 +98,5 @@ def test_iterations_that_are_no_whole_number_are_refused(value):
 def test_seconds_that_are_not_above_zero_are_refused(value):
     with pytest.raises(InvalidInputError, match=r"budget seconds .*: give a number above 0"):
         Budget(seconds=value)
+    with pytest.raises(InvalidInputError, match="budget"):
+        Budget()

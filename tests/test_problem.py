@@ -52,9 +52,6 @@ def entry(path):
     return [int(key) if key.isdigit() else key for key in path.split(".")]
 
 
-MISSING = (
-    "name robot scene constraint.0.T0_w constraint.0.Bw goal_region.Tw_e attachments.0.name scene.objects"
-)
 MISSPELT = {  # the first two planned without the constraint, and without the can, and were certified
     "constraint": "constraints", "attachments": "attachment", "goals": "goal", "goal_region": "goal_regoin",
     "constraint.0.Bw": "BW", "constraint.0.base": "bass", "scene.articulations": "articulation",
@@ -62,7 +59,7 @@ MISSPELT = {  # the first two planned without the constraint, and without the ca
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("path", [*MISSING.split(), "attachments.0.shape", "scene.objects.3.T_world_object"])
+@pytest.mark.parametrize("path", ["name", "robot", "scene", "constraint.0.Bw", "attachments.0.shape"])
 def test_missing_fields_are_named(data, path):
     refused(rf"{entry(path)[-1]} is missing; fields: ", changed(data, path, None))
 
@@ -91,33 +88,20 @@ DOOR_OF_FAR_CASING = {"name": "door", "kind": "hinge", "T_world_joint": HERE, "l
         ("schema", "cvqmpt-problem/2", "cvqmpt-problem/1"),
         ("robot", "panda", "must be an object"),
         ("robot", {"name": "ur5-misspelt"}, "ur5-misspelt"),
-        ("scene", [], "must be an object"),
-        ("scene.objects.3.T_world_object", [[1]], r"scene.objects\[3\].T_world_object has shape"),
         ("start.0", "0.5", r"start is \['0.5'"),
         ("start", [0.0] * 6, r"start has shape \(6,\), robot panda needs \(7,\)"),
         ("start.3", 0.1, "start.*panda_joint4 by 0.1698"),
         ("goals", [[0.0] * 7, [0.0] * 6], "must be numbers"),
         ("goals", [[0.0] * 6], r"panda needs \(k, 7\)"),
         ("goals.1.0", -3.0, "goal 1.*panda_joint1 by 0.1027"),
-        ("constraint", [5], r"constraint\[0\] is 5"),
-        ("constraint", 5, "must be a list"),
         ("constraint", {}, "constraint.T0_w is missing"),
         ("constraint.0.Bw", [[0, 1]] * 5, "must be 6 rows"),
-        ("goal_region", [], "must be an object"),
-        ("attachments", ["can"], r"attachments\[0\] is 'can'"),
-        ("attachments.0.T_hand_object", [1], "has shape"),
         ("attachments.0.T_hand_object", MIRRORED, "mirrored"),
-        (
-            "attachments.0.T_hand_object",
-            FAR,
-            r"T_hand_object is no rigid pose: its position is 1e\+300 m off",
-        ),
-        ("attachments.0.shape", {"type": "cone"}, "'cone'"),
+        ("attachments.0.T_hand_object", FAR, r"no rigid pose: its position is 1e\+300 m off"),
         ("attachments.0.shape", {"type": "sphere", "radius": 1e300}, "positive length, up to 1e\\+06"),
         ("attachments.0.shape", FAR_CLOUD, r"shape.points holds 1e\+300, more than 1e\+06; give metres"),
         ("constraint.0.Tw_e", FAR, r"constraint\[0\].Tw_e is no rigid pose: its position is 1e\+300 m off"),
         ("robot.articulated", DOOR_OF_FAR_CASING, r"casing\[0\].T is no rigid pose: its position"),
-        ("attachments.0.name", 5, r"attachments\[0\].name is 5"),
         ("name", "two\nlines", "printable"),
     ],
 )
@@ -140,12 +124,10 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
     tilted[6] += 0.4 if tilted[6] < 0 else -0.4  # turns the hand about its approach axis: a tilt
     amount = np.abs(problem.manifold.residual(tilted)).max()
     at_goal = problem.robot.pose(problem.goals[2]) @ pose((0.0, 0.0, 0.1))
+    at_start = problem.robot.pose(problem.start)
     for pattern, changes in (
         (r"goal 0 lies outside 'goal_region' by 0\.\d+", {"goal_region": moved}),
-        (
-            r"start is in collision: panda_.* and brick",
-            {"scene": with_brick(problem, problem.robot.pose(problem.start))},
-        ),
+        (r"start is in collision: panda_.* and brick", {"scene": with_brick(problem, at_start)}),
         (r"goal \d+ is in collision: .*brick", {"scene": with_brick(problem, at_goal)}),
         (
             rf"start breaks `upright` by {amount:.3g} rad: rotation about . .* \(it tilts by \d+°\)",

@@ -83,21 +83,13 @@ def test_what_is_not_proven_is_not_certified(judged, states, monkeypatch):
     (fault,) = found["faults"]
     assert code == 1 and not found["valid"] and found["verdict"] == "not proven"
     assert fault["kind"] == "not_proven" and fault["state"] is not None
-
-
-@pytest.mark.parametrize("far", [1e5, 1e300])
-def test_states_far_apart_are_refused_in_a_line_each(tmp_path, capsys, states, far):
-    np.savetxt(tmp_path / "a.csv", np.array([states[0], states[0] + far]), delimiter=",", fmt="%.17g")
-    assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
-    out = capsys.readouterr()
-    assert out.err == "" and len(out.out.splitlines()) == 3 and max(map(len, out.out.splitlines())) < 120
+    assert fault["text"].startswith("off the manifold by 0 rad, 0 m where it was looked at, not shown")
 
 
 def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, region_problem, states):
     far = SceneObject("far", Sphere(0.1), pose((9.0, 0.0, 0.0)))
-    problem = replace(
-        region_problem, scene=region_problem.scene.with_objects(far), attachments=(carried_can(),)
-    )
+    scene = region_problem.scene.with_objects(far)
+    problem = replace(region_problem, scene=scene, attachments=(carried_can(),))
     found, robot = judged(states, problem)[1], problem.robot
     counts = found["compared"]
     assert counts["obstacles"] == len(problem.scene.obstacles) and "far" in counts["out_of_reach"]
@@ -271,11 +263,14 @@ def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     assert code == 1 and fault["kind"] == "velocity" and f"where the motion {words}" in fault["text"]
 
 
-def test_the_report_says_where_a_path_leaves_the_manifold(tmp_path, states, capsys):
-    np.savetxt(tmp_path / "a.csv", changed(states, MIDDLE, 0.5 * np.eye(7)[5]), delimiter=",", fmt="%.17g")
-    assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
-    out = capsys.readouterr().out
-    assert out.startswith("certified   NO") and "off the manifold by" in out and "at state 40" in out
+def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_path, states, capsys):
+    bent, far = changed(states, MIDDLE, 0.5 * np.eye(7)[5]), np.array([states[0], states[0] + 1e300])
+    for motion, words in ((bent, ("off the manifold by", "at state 40")), (far, ())):
+        np.savetxt(tmp_path / "a.csv", motion, delimiter=",", fmt="%.17g")
+        assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
+        out, err = capsys.readouterr()
+        assert err == "" and out.startswith("certified   NO") and all(part in out for part in words)
+        assert motion is bent or (len(out.splitlines()) == 3 and max(map(len, out.splitlines())) < 120)
 
 
 @pytest.mark.parametrize(
@@ -308,15 +303,10 @@ def test_what_is_no_motion_is_one_line(tmp_path, capsys, name, text, words):
 def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_units_is_one_line(
     tmp_path, capsys, trajectory
 ):
-    lines, ends = as_csv(trajectory).splitlines(), [0, -1]
+    lines = as_csv(trajectory).splitlines()
     quick = replace(trajectory, times=trajectory.times / 1000.0, velocities=trajectory.velocities * 1000.0)
-    swinging = replace(
-        trajectory,
-        times=np.array([0.0, 1000.0]),
-        positions=trajectory.positions[ends],
-        velocities=np.full((2, 7), 20.0),
-        accelerations=trajectory.accelerations[ends],
-    )
+    ends = {kind: getattr(trajectory, kind)[[0, -1]] for kind in ("positions", "accelerations")}
+    swinging = replace(trajectory, **ends, times=np.array([0.0, 1000.0]), velocities=np.full((2, 7), 20.0))
     for text, words in (
         ("\n".join([lines[0], lines[2], lines[1]]), "increase"),
         ("\n".join(",".join(line.split(",")[:8]) for line in lines), "needs velocities"),

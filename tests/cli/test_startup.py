@@ -55,8 +55,10 @@ def test_a_learned_plan_reads_weights_and_imports_nothing_else():
     assert not modules & {*HEAVY}
 
 
-def test_the_package_alone_imports_next_to_nothing():
-    modules = set(json.loads(python("import cvqmpt_lab, cli.main; " + REPORT)))
+def test_the_package_alone_and_help_import_next_to_nothing():
+    code = "import cvqmpt_lab; from cli.main import main\ntry: main(['--help'])\nexcept SystemExit: " + REPORT
+    modules = set(json.loads(python(code)))
+    assert "argparse" in modules
     assert not modules & {"numpy", "numba", "scipy", "pinocchio", *HEAVY, *LEARNED}
 
 

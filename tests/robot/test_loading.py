@@ -56,11 +56,8 @@ def test_files_without_a_robot_are_named(edited, refused, tmp_path, panda):
     refused(InvalidInputError, "no frame 'gripper'", panda.pose, HOME, "gripper")
     refused(InvalidInputError, r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool")
     refused(InvalidInputError, f"{tmp_path.name}.*directory", load_robot, tmp_path, "tool")
-    for name, text in (
-        ("empty.stl", ""),
-        ("solid.stl", "solid empty\nendsolid empty\n"),
-        ("flat.obj", FLAT_MESH),
-    ):
+    texts = {"empty.stl": "", "solid.stl": "solid empty\nendsolid empty\n", "flat.obj": FLAT_MESH}
+    for name, text in texts.items():
         (tmp_path / name).write_text(text)
     for name in ("nothing.stl", "empty.stl", "solid.stl", "flat.obj"):
         urdf = edited((SPHERE, f'<mesh filename="{name}"/>'))
@@ -193,11 +190,7 @@ CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
         ('xyz="0 0 0.15" rpy="0 0.4 0"', 'xyz="0 0 150"', "reaches 1.* m.*links or base"),
         ('size="0.2 0.2 0.1"', 'size="1e308 1e308 1e308"', "base.* beyond 10000: give metres"),
         # bodies that the parser of URDF files would leave out
-        (
-            CYLINDER,
-            '<cylinder radius="wide" length="0.3"/>',
-            "link 'shoulder'.*radius of its cylinder is 'wide'",
-        ),
+        (CYLINDER, CYLINDER.replace("0.04", "wide"), "link 'shoulder'.*radius of its cylinder is 'wide'"),
         (CYLINDER, '<cylinder length="0.3"/>', "link 'shoulder'.*radius"),
         (CYLINDER, '<cylinder radius="-0.04" length="0.3"/>', "radius.*-0.04.*more than 0"),
         (CYLINDER, '<capsule radius="0.04" length="0.3"/>', "unknown shape 'capsule'"),
@@ -302,25 +295,15 @@ def test_what_is_given_beside_a_name_overrides_it():
     [
         ({"name": "panda", "fingeropening": 0.01}, "did you mean 'finger_opening'"),
         ({"name": "panda", "lock": {}}, r"robot\.lock is unknown; did you mean 'locked'"),
-        ({"urdf": "a.urdf", "end_efector": "tool"}, "did you mean 'end_effector'"),
         ({"urdf": "a.urdf"}, r"robot\.end_effector is missing"),
         ({"urdf": "a.urdf", "end_effector": "tool", "name": "panda"}, r"robot\.name is unknown"),
-        ({"urdf": 5, "end_effector": "tool"}, "urdf is 5"),
-        ({"urdf": "arm.urdf", "end_effector": "tool", "locked": 3}, "locked is 3"),
-        ({"name": "panda", "finger_opening": False}, "finger_opening is False"),
-        ({"name": "panda", "finger_opening": "wide"}, "'wide'"),
-        ({"name": "panda", "finger_opening": [0.01]}, "finger_opening"),
         ({"name": "ur5", "finger_opening": 0.01}, "the panda's, not that of 'ur5'"),
         ({"name": "panda", "locked": [1]}, "must be an object"),
-        ({"name": "panda", "package_dirs": "x"}, "must be a list"),
         ({"name": "panda", "base": [0, 0]}, r"robot\.base has shape"),
-        ({"name": "panda", "end_effector": 5}, "must be str"),
         ({"name": "ur55"}, "robot 'ur55'.*panda, ur3, ur5"),
-        ({"name": True}, r"robot\.name is True"),
         ({"name": ["panda"]}, "name"),
         ({}, "robot needs 'name' .* or 'urdf' and 'end_effector'"),
         (0.5, "must be an object"),
-        (None, "must be an object"),
     ],
     ids=str,
 )

@@ -1,10 +1,4 @@
-"""Robots other than the Panda, from their URDF to a certified path, and kernels without a cache on disk."""
-
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
+"""Robots other than the Panda, from their URDF to a certified path."""
 
 import numpy as np
 import pytest
@@ -22,7 +16,6 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.timing import time_path
 
-ROOT = Path(__file__).resolve().parents[2]
 NOTHING = Scene("nothing", ())
 ENOUGH = Budget(iterations=20_000)
 TOOL_BOX = 'size="0.02 0.06 0.02"'
@@ -97,35 +90,3 @@ def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, t
     with pytest.raises(InvalidProblemError, match=r"start is in collision: .*_0 and tool_0"):
         check_problem(problem)
     assert not ConstrainedSpace(problem).valid(problem.start)
-
-
-WITHOUT_CACHE = """
-import warnings
-with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter("always")
-    from cvqmpt_lab import jit
-    print(jit.folder(), jit.compiled_before())
-print([str(w.message) for w in caught if "cache" in str(w.message)])
-"""
-
-
-@pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
-def test_without_a_place_for_the_cache_kernels_are_kept_among_temporary_files_and_nowhere_else(
-    tmp_path, variable
-):
-    """Nobody, root included, can make a folder below a file."""
-    (tmp_path / "file").write_text("")
-    place = tmp_path / "file" / "cache"
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-    environment |= {variable: str(place), "TMPDIR": str(tmp_path)}
-    for _ in range(2):
-        done = subprocess.run(
-            [sys.executable, "-c", WITHOUT_CACHE], cwd=ROOT, env=environment, capture_output=True, text=True
-        )
-        folder, warning = done.stdout.splitlines()
-        instead = tmp_path / f"cvqmpt_lab-{os.getuid()}"
-        assert folder.startswith(str(instead)) or folder == "None False"
-        assert str(place) in warning and "not writable" in warning and "NUMBA_CACHE_DIR" in warning
-        shutil.rmtree(instead, ignore_errors=True)
-        instead.touch()
-    assert folder == "None False" and "everything is computed again" in warning

@@ -83,9 +83,6 @@ def test_sine_and_cosine_are_numpys():
         for value, expected in zip(of(angles), (np.sin(angles), np.cos(angles)), strict=True):
             worst = np.argmax(np.abs(value - expected))
             assert np.abs(value - expected)[worst] <= 1e-15, angles[worst]
-
-
-def test_what_is_not_finite_has_no_sine():
     assert np.isnan(of([np.nan, np.inf, -np.inf])).all()
 
 
@@ -120,9 +117,7 @@ def test_no_point_moves_further_than_the_bound(request, name):
                     assert moved <= bound + 1e-9
                     used.append(moved / bound)
             for pair, bound in zip(geometry.collisionPairs, between, strict=True):
-                gaps = [
-                    np.linalg.norm(p[pair.first][:8, None] - p[pair.second][:8], axis=2)
-                    for p in (before, after)
-                ]
-                assert np.abs(gaps[1] - gaps[0]).max() <= bound + 1e-9
+                corners = ((p[pair.first][:8], p[pair.second][:8]) for p in (before, after))
+                was, now = (np.linalg.norm(one[:, None] - other, axis=2) for one, other in corners)
+                assert np.abs(now - was).max() <= bound + 1e-9
     assert max(used) > 0.6

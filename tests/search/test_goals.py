@@ -26,6 +26,14 @@ def test_goals_are_as_many_and_as_diverse_as_those_of_unhurried_inverse_kinemati
     fast = sample_goals(problem, np.random.default_rng(3), 20)
     assert len(fast.configurations) == len(slow.configurations) == 20
     assert apart(fast.configurations) > 0.7 * apart(slow.configurations)
+    assert not problem.collision_checker(0.99 * SAMPLE_MARGIN).in_collision_batch(fast.configurations).any()
+    assert_inside(problem, fast.configurations)
+
+
+def assert_inside(problem, goals):
+    """Goals lie in the goal region."""
+    region = replace(problem, constraint=(problem.goal_region,)).manifold
+    assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
 
 
 def test_a_single_pose_is_reached_in_many_postures(problem):
@@ -39,14 +47,6 @@ def test_goals_near_a_configuration_keep_its_posture(problem):
     goals = sample_goals(problem, np.random.default_rng(0), 5, near=problem.goals[0]).configurations
     assert len(goals) == 5
     assert np.linalg.norm(goals - problem.goals[0], axis=1).max() < 2.0
-
-
-def test_every_goal_keeps_the_margin_and_lies_in_the_region(problem):
-    goals = sample_goals(problem, np.random.default_rng(0), 10).configurations
-    assert len(goals) == 10
-    assert not problem.collision_checker(0.99 * SAMPLE_MARGIN).in_collision_batch(goals).any()
-    region = replace(problem, constraint=(problem.goal_region,)).manifold
-    assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
 
 
 def test_what_cannot_be_had_is_counted(problem):
@@ -68,6 +68,5 @@ def test_half_of_the_goals_of_joints_with_more_than_a_turn_are_at_most_half_a_tu
     goals = sample_goals(problem, np.random.default_rng(0), 20).configurations
     away = np.abs(goals - problem.start).max(axis=1)
     assert away[::2].max() <= np.pi < away[1::2].max()
-    region = replace(problem, constraint=(problem.goal_region,)).manifold
-    assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
+    assert_inside(problem, goals)
     assert ((goals >= problem.robot.lower) & (goals <= problem.robot.upper)).all()

