@@ -31,7 +31,7 @@ def test_a_claim_does_not_hold_where_none_stands_and_is_not_judged_without_rows(
     claims = judged_claims(evidence_below(results))
     assert claims[FASTER].verdict == claims[SHORTER].verdict == "does not hold here"
     assert claims[SOLVES].verdict == "holds in part"  # one planner of two
-    assert claims[PLANNING].verdict == "not run" and claims[COMPLETE].verdict == "cannot be tested here"
+    assert claims[PLANNING].verdict == "no rows yet" and claims[COMPLETE].verdict == "cannot be tested here"
 
 
 def test_a_readme_without_the_marks_of_the_summary_is_refused():
