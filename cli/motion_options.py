@@ -16,6 +16,7 @@ from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -52,6 +53,8 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
     if args.scene is not None:
         scene = read_scene(args.scene)
+        refuse_far(scene, f"scene {args.scene}")
+        report_out_of_reach(scene, robot.reach)
     else:
         arm = arm_of(args, robot, start)
         scene = scene_of(args, scanned(args, arm), arm)

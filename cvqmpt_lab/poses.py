@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import LARGEST, Array, FloatArray, Schema
+from cvqmpt_lab.codec.forms import LARGEST, TURN, Array, FloatArray, Schema
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 
@@ -53,6 +53,10 @@ class Placement:
     def __post_init__(self) -> None:
         if self.rpy is not None and self.quaternion is not None:
             raise InvalidInputError("give 'rpy' or 'quaternion', one of the two")
+        if (most := max(map(abs, self.rpy or (0.0,)))) > TURN:
+            raise InvalidInputError(
+                f"'rpy' holds {most:g}, more than 2 pi: degrees? Give radians, 90 degrees are 1.5708"
+            )
         length = math.hypot(*self.quaternion or (1.0,))
         if abs(length - 1.0) > 1e-3:
             raise InvalidInputError(f"quaternion [x, y, z, w] has length {length:.4g}; it must be 1")

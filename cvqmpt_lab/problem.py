@@ -23,13 +23,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Schema
+from cvqmpt_lab.codec.forms import TURN, Array, FloatArray, Name, OneOrMore, Schema
 from cvqmpt_lab.codec.plain import Document, mapping, unique
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.no_goal import why_none
@@ -41,6 +41,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
+from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
 
 MOST_REGIONS = 32  # of one constraint
 CONTRADICTION = 1e-3  # [m, rad] that a given goal may be outside the goal region
@@ -116,6 +117,18 @@ class PlanningProblem(Document):
         data = with_files_read(data, folder)
         return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Inverse of `to_dict`; refuses lengths that cannot be metres, logs a warning when nothing is within reach."""
+        problem = super().from_dict(data)
+        refuse_far(problem.scene)
+        regions = {f"constraint[{k}]": region for k, region in enumerate(problem.constraint)}
+        if problem.goal_region is not None:
+            regions["goal_region"] = problem.goal_region
+        refuse_far_poses({f"{where}: its frame": region.T0_w for where, region in regions.items()})
+        report_out_of_reach(problem.scene, reach_with(problem.robot, problem.attachments))
+        return problem
+
     def _check_regions(self) -> None:
         unique((item.name for item in self.attachments), f"attachments of problem {self.name!r}")
         if len(self.goals) == 0 and self.goal_region is None:
@@ -144,8 +157,9 @@ class PlanningProblem(Document):
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
+                cure = "degrees? Give radians" if outside[1] > TURN else "move it inside"
                 raise InvalidProblemError(
-                    f"{self.name}: {label} is outside the limits: {outside[0]} by {outside[1]:.4g}; move it inside"
+                    f"{self.name}: {label} is outside the limits: {outside[0]} by {outside[1]:.4g}; {cure}"
                 )
 
     def _drawn_start(self) -> FloatArray:

@@ -198,3 +198,35 @@ def test_files_of_before_still_load(tmp_path):
     problem.save(tmp_path / "now.json")
     assert PlanningProblem.load(tmp_path / "now.json") == problem
     assert len((tmp_path / "now.json").read_text().splitlines()) < 130
+
+
+def test_millimetres_and_degrees_are_suspected(data, caplog):
+    """A box of 300 x 600 x 20 "mm" 670 m off was planned round and certified; tilt 10 left the constraint free."""
+    shelf = {
+        "name": "shelf",
+        "shape": {"type": "box", "size": [0.3, 0.6, 0.02]},
+        "T_world_object": {"xyz": [0.6, 0, 0.3]},
+    }
+    own = changed(changed(data, "scene", {"name": "room", "objects": [shelf]}), "attachments", [])
+    own = changed(changed(own, "goals", []), "constraint", [{"upright": 0.1}])
+    PlanningProblem.from_dict(own)
+    assert not caplog.messages
+    refused("'shelf', is 600 m large.*no metres", changed(own, "scene.objects.0.shape.size", [300, 600, 20]))
+    refused(
+        "'shelf', is 67\\d.* m off.*no metres",
+        changed(own, "scene.objects.0.T_world_object.xyz", [600, 0, 300]),
+    )
+    goal = {"pose": {"at": {"xyz": [0.5, 0, 0.3], "rpy": [3.14, 0, 0]}}}
+    refused(
+        "goal_region: its frame is 500 m off",
+        changed(own, "goal_region", {"plane": {"normal": [1, 0, 0], "point": [500, 0, 0]}}),
+    )
+    own = changed(own, "goal_region", goal)
+    refused("'rpy' holds 180, more than 2 pi: degrees", changed(own, "goal_region.pose.at.rpy", [180, 0, 0]))
+    refused("tilt is 10.0; .*degrees", changed(own, "constraint", {"upright": 10}))
+    refused(
+        "start is outside the limits: panda_joint4 by .*; degrees",
+        changed(own, "start", [0, -45, 0, -135, 0, 90, 45]),
+    )
+    PlanningProblem.from_dict(changed(own, "scene.objects.0.T_world_object.xyz", [6, 0, 3]))
+    assert "the arm can touch nothing of it: 'shelf' is nearest, 6" in caplog.text

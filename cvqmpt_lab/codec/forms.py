@@ -14,6 +14,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Schema: TypeAlias = Callable[[Any], dict[str, Any]]
+TURN = 2.0 * np.pi  # [rad]; larger angles are degrees
 LARGEST = 1e6  # [m] of a length or a coordinate: more is a misplaced unit, whose powers overflow
 
 
@@ -166,6 +167,16 @@ Padding = Annotated[
         lambda x: 0.0 <= x <= LARGEST,
         f"a length of 0 or more, {UP_TO}",
         {"minimum": 0, "maximum": LARGEST},
+    ),
+]
+
+Angle = Annotated[
+    float,
+    Condition(
+        float,
+        lambda x: 0.0 <= x <= TURN,
+        "from 0 to 2 pi [rad]: degrees? 10 degrees are 0.1745 rad",
+        {"minimum": 0, "maximum": TURN},
     ),
 ]
 

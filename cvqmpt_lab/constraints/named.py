@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Condition, Schema
+from cvqmpt_lab.codec.forms import Angle, Condition, Schema
 from cvqmpt_lab.codec.plain import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain, upright
 from cvqmpt_lab.errors import InvalidInputError, nearest, shown
@@ -20,7 +20,7 @@ Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more", {
 class Upright:
     """An axis of the end effector points up; yaw about it and position are free."""
 
-    tilt: Tolerance = 0.1  # [rad]
+    tilt: Angle = 0.1  # [rad]
     axis: Literal["x", "-x", "y", "-y", "z", "-z"] = "x"  # Axis of the end-effector frame
 
     def region(self) -> TaskSpaceRegion:
@@ -39,7 +39,7 @@ def upper_axis(T_world_hand: np.ndarray) -> str:
 class FixedOrientation:
     """The end effector has a fixed orientation; its position is free."""
 
-    tolerance: Tolerance  # Of each entry of the rotation vector from that orientation [rad]
+    tolerance: Angle  # Of each entry of the rotation vector from that orientation [rad]
     rpy: Vector | None = None  # Roll, pitch, yaw about the world's x, y, z [rad]
     quaternion: tuple[float, float, float, float] | None = None  # The same as x, y, z, w
 
@@ -82,8 +82,8 @@ class Near:
 
     at: Pose  # Its pose in the world
     position: Tolerance = 0.0  # Of x, y and z [m]
-    tilt: Tolerance = 0.0  # About the world's x and y [rad]
-    yaw: Tolerance = 0.0  # About the world's vertical [rad]; 3.15 leaves it free
+    tilt: Angle = 0.0  # About the world's x and y [rad]
+    yaw: Angle = 0.0  # About the world's vertical [rad]; 3.15 leaves it free
 
     def region(self) -> TaskSpaceRegion:
         """The region in full."""

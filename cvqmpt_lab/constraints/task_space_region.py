@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, Name, Schema, numbers
+from cvqmpt_lab.codec.forms import TURN, FloatArray, Name, Schema, numbers
 from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
@@ -44,6 +44,11 @@ class BoundsForm:
                     f"{where}[{k}], {ROWS[k]}, is {shown([float(lower), float(upper)])}; "
                     f"lower <= upper is needed in {ROWS_TEXT}"
                 )
+        turns = np.abs(Bw[3:], where=np.isfinite(Bw[3:]), out=np.zeros((3, 2)))
+        if (most := turns.max()) > TURN:
+            raise InvalidInputError(
+                f"{where} bounds a rotation by {most:g} rad, more than 2 pi: degrees? 10 degrees are 0.1745 rad"
+            )
         Bw.setflags(write=False)
         return Bw
 

@@ -245,6 +245,10 @@ def _locked_value(urdf: Urdf, name: str, value: float) -> float:
         raise InvalidInputError(
             f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]"
         )
+    if urdf.joints[name].kind != "prismatic" and abs(value) > TURN:
+        raise InvalidInputError(
+            f"joint {name!r} cannot be locked at {value:g} rad, more than 2 pi: degrees? Give radians"
+        )
     return float(value)
 
 

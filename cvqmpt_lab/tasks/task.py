@@ -17,7 +17,7 @@ What is grasped is carried as the scene has it, shape and pose. Contact counts a
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
 from cvqmpt_lab.scene.scene_files import with_files_read
+from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +144,14 @@ class Task(Document):
             with located(f"task {self.name!r}, phase {number} {phase.name!r}"):
                 _check_hand(phase, held)
                 scene, held = _after(phase, scene, held)
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Inverse of `to_dict`; refuses lengths that cannot be metres, logs a warning when nothing is within reach."""
+        task = super().from_dict(data)
+        refuse_far(task.scene)
+        report_out_of_reach(task.scene, robot_from_source(task.robot).reach)
+        return task
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:

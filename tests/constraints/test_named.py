@@ -96,7 +96,7 @@ def test_a_pose_may_leave_the_yaw_free():
             "constraint.uprigth is unknown; did you mean 'upright'?; fields: T0_w, Tw_e, Bw, base, or",
         ),
         ({"upright": "0.1"}, "constraint.upright.tilt is '0.1'; it must be a finite float"),
-        ({"upright": -0.1}, "constraint.upright.tilt is -0.1; it must be 0 or more"),
+        ({"upright": -0.1}, "constraint.upright.tilt is -0.1; it must be from 0 to 2 pi"),
         (
             {"upright": {"tilt": 0.1, "axis": "w"}},
             "unknown constraint.upright.axis 'w'; valid choices: x, -x",

@@ -1,0 +1,72 @@
+"""Units of scenes that users write: what cannot be metres is refused, a scene out of the arm's reach reported."""
+
+import logging
+import math
+
+import numpy as np
+
+from cvqmpt_lab.codec.plain import at
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder, Measured, Sphere, bounding_radius
+
+FARTHEST = 100.0  # [m] of a pose or an obstacle from the arm
+LARGEST = 250.0  # [m] of an obstacle; floors of 200 m are drawn
+_log = logging.getLogger("cvqmpt")
+
+
+def refuse_far_poses(poses: dict[str, np.ndarray]) -> None:
+    """Refuse a pose (4, 4), by its place in the file, that stands more than FARTHEST from the world's origin."""
+    for where, T in poses.items():
+        if (off := float(np.abs(T[:3, 3]).max())) > FARTHEST:
+            raise InvalidInputError(
+                f"{where} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
+            )
+
+
+def refuse_far(scene: Scene, where: str = "scene") -> None:
+    """Refuse an obstacle larger than LARGEST, or more than FARTHEST off the world's origin."""
+    for k, item in enumerate(scene.objects):
+        if not item.obstacle or isinstance(item.shape, Measured):
+            continue
+        match item.shape:
+            case Box(size):
+                lengths: tuple[float, ...] = size
+            case Cylinder(radius, height):
+                lengths = radius, height
+            case Sphere(radius):
+                lengths = (radius,)
+            case _:
+                lengths = ()
+        name = at(where, f"objects[{k}], {item.name!r},")
+        if (most := max(lengths, default=0.0)) > LARGEST:
+            raise InvalidInputError(
+                f"{name} is {most:.4g} m large, more than {LARGEST:g}: no metres? Give metres"
+            )
+        if (off := distance(item)) > FARTHEST:
+            raise InvalidInputError(
+                f"{name} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
+            )
+
+
+def distance(item: SceneObject) -> float:
+    """Distance [m] from the world's origin that an obstacle has at least; exact for a box."""
+    if isinstance(item.shape, Box):
+        inside = np.abs(np.linalg.inv(item.T_world_object)[:3, 3]) - 0.5 * np.array(item.shape.size)
+        return float(np.linalg.norm(np.maximum(inside, 0.0)))
+    return max(math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - bounding_radius(item.shape), 0.0)
+
+
+def report_out_of_reach(scene: Scene, reach: float) -> None:
+    """Log a warning when the arm, of a reach [m], can touch no obstacle of a scene that has some."""
+    gaps = {item.name: distance(item) for item in scene.obstacles}
+    if gaps and min(gaps.values()) > reach:
+        name = min(gaps, key=lambda name: gaps[name])
+        _log.warning(
+            "scene %r: the arm can touch nothing of it: %r is nearest, %.3g m off, and the arm reaches %.3g m; "
+            "no metres, or in another frame than the robot's base?",
+            scene.name,
+            name,
+            gaps[name],
+            reach,
+        )
