@@ -11,8 +11,8 @@ import numpy as np
 
 from cli.options import writable_file
 from cli.robot_options import add_robot_options, robot_options
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.self_collision import OVERLAP, srdf_text
@@ -55,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
     if args.srdf_out:
         write_text(args.srdf_out, srdf_text(robot.name, robot.left_out_pairs))
     if args.picture:
-        _draw(robot, args.picture)
+        from cvqmpt_lab.show.draw import draw
+
+        draw(robot, args.picture)
     return 0
 
 
@@ -72,7 +74,8 @@ def describe(robot: Robot) -> dict[str, Any]:
     """What was understood, as plain json."""
     velocity = np.array(robot.model.upperVelocityLimit)
     states = robot.random_configurations(np.random.default_rng(0), TRIED)
-    collide = _alone(robot).collision_checker().in_collision_batch(states)
+    nothing = Scene("nothing", ())
+    collide = CollisionChecker(robot, nothing).in_collision_batch(states)
     return {
         "name": robot.name,
         "source": robot.source,
@@ -131,19 +134,3 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
 
 def _few(names: list[str]) -> str:
     return ", ".join(names[:NAMES]) + (f", ... (--json lists {len(names)})" if len(names) > NAMES else "")
-
-
-def _alone(robot: Robot) -> PlanningProblem:
-    """The robot in an empty scene, its joints as near to 0 as their limits let them."""
-    rest = np.clip(0.0, robot.lower, robot.upper)
-    return PlanningProblem(robot.name, robot, Scene("nothing", ()), rest, rest[None])
-
-
-def _draw(robot: Robot, path: Path) -> None:
-    from cvqmpt_lab.show.meshes import ROBOT_COLOUR, joined, robot_meshes
-    from cvqmpt_lab.show.picture import still_image, write_png
-    from cvqmpt_lab.show.stage import clear_viewpoint
-
-    problem, size = _alone(robot), (900, 700)
-    seen = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
-    write_png(path, still_image(problem, problem.start, size, clear_viewpoint([seen], [], size)))

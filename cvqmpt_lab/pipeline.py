@@ -12,6 +12,7 @@ from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
 from cvqmpt_lab.errors import whole_number
+from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
@@ -28,7 +29,7 @@ _log = logging.getLogger("cvqmpt")
 
 
 @dataclass(frozen=True)
-class Solution:
+class Solution(Pictured):
     """What came of a problem."""
 
     problem: PlanningProblem  # with its goals
@@ -38,6 +39,19 @@ class Solution:
     goal_seconds: float = 0.0  # what drawing goals took [s]
     observe_seconds: float = 0.0  # of rendering or reading the cloud [s]; charged to nobody
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
+
+    def __repr__(self) -> str:
+        plan, path, sure = self.plan, self.simplified and self.simplified.path, self.certificate
+        lines = [
+            f"Solution of {self.problem.name!r}: {'solved and certified' if self.solved else 'not solved'}",
+            f"plan        {plan.status} after {1e3 * plan.seconds:.1f} ms, samples: {plan.sampler}"
+            + (f" ({plan.detail})" if plan.detail else ""),
+        ]
+        lines += [f"path        {path!r}"] if path else []
+        if sure is not None:
+            clear = f", clearance {1e3 * sure.min_clearance_m:.1f} mm" if sure.min_clearance_m >= 0.0 else ""
+            lines.append(f"certificate {'; '.join((str(sure.verdict), *sure.reasons[:1]))}{clear}")
+        return "\n".join(lines)
 
     @property
     def solved(self) -> bool:

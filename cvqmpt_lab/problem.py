@@ -33,9 +33,10 @@ from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.no_goal import why_none
-from cvqmpt_lab.constraints.report import bound_usage, broken_bound, displacements
+from cvqmpt_lab.constraints.report import bound_usage, bounds_text, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidProblemError
+from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import seen_from
@@ -74,7 +75,7 @@ class GoalsForm(Array):
 
 
 @dataclass(frozen=True, eq=False)
-class PlanningProblem(Document):
+class PlanningProblem(Document, Pictured):
     """One constrained motion planning problem."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-problem/1"
@@ -110,6 +111,17 @@ class PlanningProblem(Document):
         if len(self.goals) == 0:
             object.__setattr__(self, "goals", np.empty((0, self.robot.dof)))
         self._check_configurations()
+
+    def __repr__(self) -> str:
+        carried = ", ".join(item.name for item in self.attachments)
+        region = " and a goal region" if self.goal_region is not None else ""
+        return (
+            f"PlanningProblem {self.name!r}: {len(self.goals)} goals{region}\n"
+            f"robot       {self.robot.name}, {self.robot.dof} joints{carried and ', carries ' + carried}\n"
+            f"scene       {self.scene.name}, {len(self.scene.objects)} objects\n"
+            f"constraint  {bounds_text(self.constraint)}\n"
+            f"start       {' '.join(f'{x:.3f}' for x in self.start)}"
+        )
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:

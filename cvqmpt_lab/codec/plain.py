@@ -19,6 +19,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from cvqmpt_lab.codec.signatures import ReadableSignature
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest, shown
 from cvqmpt_lab.files import read_json_object, write_text
 
@@ -78,6 +79,8 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
 
 class Checked:
     """Base of frozen dataclasses (eq=False) that check their fields when made and are compared by content."""
+
+    __signature__ = ReadableSignature()
 
     def __post_init__(self) -> None:
         name = getattr(self, "name", None)

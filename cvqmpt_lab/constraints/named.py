@@ -9,7 +9,7 @@ import numpy as np
 from cvqmpt_lab.codec.forms import Angle, Condition, Schema
 from cvqmpt_lab.codec.plain import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain, upright
-from cvqmpt_lab.errors import InvalidInputError, nearest, shown
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, nearest, shown
 from cvqmpt_lab.poses import Placement, Pose, pose
 
 Vector = tuple[float, float, float]
@@ -101,6 +101,16 @@ NAMED: Mapping[str, Any] = {
     "pose": Near,
 }
 """What may stand for a region, `{"upright": {...}}` or `{"upright": 0.1}`, a value of its first field."""
+
+
+def region(name: str, **fields: Any) -> TaskSpaceRegion:
+    """A region by its name with the fields that problem files give it: ``region("plane", normal=..., point=...)``.
+
+    Names and fields: see `NAMED`; UnknownChoiceError or InvalidInputError for others.
+    """
+    if name not in NAMED:
+        raise UnknownChoiceError("region", name, NAMED)
+    return from_plain(Region, {name: fields})
 
 
 def _region(T0_w: np.ndarray, Tw_e: np.ndarray, bounds: list[float]) -> TaskSpaceRegion:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegion
 from cvqmpt_lab.poses import rotation_matrices, rotation_vectors
 from cvqmpt_lab.robot.robot import Robot
@@ -38,6 +39,20 @@ class BoundUse:
         if self.lower == -self.upper:
             return f"{ROWS[self.row]} {abs(self.value):.3g} of {self.upper:.3g} {self.unit}"
         return f"{ROWS[self.row]} {self.value:.3g} of {self.lower:.3g} to {self.upper:.3g} {self.unit}"
+
+
+def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
+    """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ..."; regions are divided by semicolons."""
+    texts = (
+        ", ".join(f"{ROWS[row]} {low:g} to {high:g} {UNITS[row]}" for row, (low, high) in _bounded(region))
+        for region in regions
+    )
+    return "; ".join(texts) or "none"
+
+
+def _bounded(region: TaskSpaceRegion) -> list[tuple[int, FloatArray]]:
+    """Row and bounds (2,) of each entry that can be violated."""
+    return [(int(row), region.Bw[row]) for row in region.bounded_rows]
 
 
 def bound_usage(robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray) -> tuple[BoundUse, ...]:

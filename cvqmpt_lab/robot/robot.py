@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 
@@ -102,7 +103,7 @@ class _ThreadData(threading.local):
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(Pictured):
     """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
 
     Build it with `panda`, `load_robot` or `with_articulated_object`.
@@ -127,6 +128,12 @@ class Robot:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_of_thread", _ThreadData(self.model))
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, reach {self.reach:.2f} m, "
+            f"{len(self.links)} convex pieces\njoints      {', '.join(self.joint_names)}"
+        )
 
     @property
     def dof(self) -> int:

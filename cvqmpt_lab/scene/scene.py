@@ -15,8 +15,11 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray, Name, Schema
 from cvqmpt_lab.codec.plain import Checked, from_plain, to_plain, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
+
+SHOWN = 8  # names of objects in the `repr` of a scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +72,7 @@ class Articulation(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class Scene(Checked):
+class Scene(Checked, Pictured):
     """Named objects and articulations; scenes with the same content are equal."""
 
     name: Name  # what the scene is called in results
@@ -92,6 +95,11 @@ class Scene(Checked):
                         f"articulation {articulation.name!r} moves {name!r}, which is no object of {scene}: "
                         f"add the object or correct `moves`"
                     )
+
+    def __repr__(self) -> str:
+        few = ", ".join(self.names[:SHOWN]) + (", ..." if len(self.objects) > SHOWN else "")
+        joints = f", {len(self.articulations)} hinges and sliders" if self.articulations else ""
+        return f"Scene {self.name!r}: {len(self.objects)} objects{joints}\nobjects     {few or 'none'}"
 
     def __getitem__(self, name: str) -> SceneObject:
         for item in self.objects:

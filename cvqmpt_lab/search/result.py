@@ -83,6 +83,9 @@ class JointPath:
 
     states: np.ndarray  # (m, n), m >= 2 [rad or m]
 
+    def __repr__(self) -> str:
+        return f"JointPath of {len(self.states)} states, {self.length:.2f} rad"
+
     @property
     def length(self) -> float:
         """Sum of Euclidean distances between neighbouring states [rad]."""
@@ -113,7 +116,7 @@ class PlanResult:
     counters: Counters
     vertices: int  # nodes in all trees
     sampler: str  # name of the distribution used
-    trees: tuple[Tree, ...] = ()
+    trees: tuple[Tree, ...] = field(default=(), repr=False)
     detail: str = ""  # a few words more, e.g. about a failure
     fallback: str = ""  # what found the path if not what the planner's name promises, and why, or ""
     timings: Timings = field(default_factory=Timings)  # which of the seconds were not search

@@ -11,6 +11,7 @@ from PIL import Image
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.meshes import (
     GOAL_COLOUR,
@@ -52,6 +53,7 @@ COLOURS, PALETTE_FRAMES = 128, 6  # of a gif, and the frames that they are chose
 Progress = Callable[[int, int], None]  # told how many pictures of how many are drawn
 
 
+@one_thread()
 def film_solution(
     solution: Solution,
     path: Path,
@@ -131,6 +133,7 @@ def _write_mp4(frames: Sequence[np.ndarray], path: Path) -> None:
 WRITERS = {".gif": _write_gif, ".mp4": _write_mp4}  # by the suffix of the file
 
 
+@one_thread()
 def film_task(
     solution: TaskSolution,
     path: Path,

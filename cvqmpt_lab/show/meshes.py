@@ -13,7 +13,7 @@ from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
-from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import (
     Box,
     ConvexMesh,
@@ -166,20 +166,20 @@ def robot_meshes(problem: PlanningProblem, q: np.ndarray, colour: Colour) -> lis
     return links + loads
 
 
-def scene_meshes(problem: PlanningProblem, hidden: Sequence[str]) -> list[Mesh]:
+def scene_meshes(scene: Scene, hidden: Sequence[str]) -> list[Mesh]:
     """The scene's objects but floors and those named in `hidden`."""
     return [
         shape_mesh(item.shape).placed(item.T_world_object, colour_of(item.name))
-        for item in problem.scene
+        for item in scene
         if item.name not in hidden and not is_ground(item)
     ]
 
 
-def ground_height(problem: PlanningProblem) -> float | None:
+def ground_height(scene: Scene) -> float | None:
     """Top of the highest floor [m]; None without one."""
     tops = [
         item.T_world_object[2, 3] + 0.5 * item.shape.size[2]
-        for item in problem.scene
+        for item in scene
         if isinstance(item.shape, Box) and is_ground(item)
     ]
     return max(tops, default=None)

@@ -16,7 +16,9 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.processes import one_thread
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.show.marks import CONSTRAINT_COLOUR, constraint_marks, hand_axes
 from cvqmpt_lab.show.meshes import (
     GHOST_COLOUR,
@@ -110,23 +112,30 @@ def draw_solution(
     size: width and height [pixels], legend included. ghosts: number of poses shown between start and goal.
     carried: what the hand is shown with where the problem does not model it.
     """
-    if min(size) < 1:
-        raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
     problem = with_load(solution.problem, carried)
     states = None if solution.simplified is None else solution.simplified.path.states
+    write_png(Path(path), solution_image(problem, states, size, ghosts))
+
+
+@one_thread()  # BLAS threads wait for each other on small products
+def solution_image(
+    problem: PlanningProblem, states: np.ndarray | None, size: tuple[int, int], ghosts: int = 4
+) -> np.ndarray:
+    """What `draw_solution` writes, (height, width, 3), 8 bit; states (m, n) of the path, or None without one."""
+    if min(size) < 1:
+        raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
     legend = strip(_legend(problem, states is not None, ghosts), size[0])
     if len(legend) >= LEGEND_SHARE * size[1]:
         legend = legend[:0]
     size = (size[0], size[1] - len(legend))
-    layers, start = (
-        list(_translucent(problem, states, ghosts)),
-        robot_meshes(problem, problem.start, ROBOT_COLOUR),
-    )
-    stage = clear_stage(problem, [joined(start), *(layer.mesh for layer in layers[:1] + layers[-1:])], size)
+    layers = list(_translucent(problem, states, ghosts))
+    start = robot_meshes(problem, problem.start, ROBOT_COLOUR)
+    seen = [joined(start), *(layer.mesh for layer in layers[:1] + layers[-1:])]
+    stage = clear_stage(problem, seen, size)
     picture = stage.picture(start)
     for layer in [*layers, *_marks(problem, states)]:
         blend(picture, layer, rasterise(layer.mesh, stage.viewpoint, stage.shape), stage.viewpoint)
-    write_png(Path(path), np.concatenate([eight_bit(picture.image), legend]))
+    return np.concatenate([eight_bit(picture.image), legend])
 
 
 def still_image(
@@ -147,9 +156,34 @@ def still_image(
 def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (1200, 800)) -> None:
     """Write a PNG of the whole scene and the robot at the start."""
     robot = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
-    corners = np.concatenate([mesh.corners for mesh in (robot, *scene_meshes(problem, ()))])
+    corners = np.concatenate([mesh.corners for mesh in (robot, *scene_meshes(problem.scene, ()))])
     viewpoint = framed(corners.reshape(-1, 3), AZIMUTHS[0], size)
     write_png(Path(path), still_image(problem, problem.start, size, viewpoint, hidden=()))
+
+
+def alone(robot: Robot) -> PlanningProblem:
+    """A robot in an empty scene, its joints as near to 0 as their limits let them."""
+    rest = np.clip(0.0, robot.lower, robot.upper)
+    return PlanningProblem(robot.name, robot, Scene("nothing", ()), rest, rest[None])
+
+
+@one_thread()
+def robot_image(robot: Robot, size: tuple[int, int]) -> np.ndarray:
+    """The collision pieces of a robot, (height, width, 3), 8 bit."""
+    problem = alone(robot)
+    seen = joined(robot_meshes(problem, problem.start, ROBOT_COLOUR))
+    return still_image(problem, problem.start, size, clear_viewpoint([seen], [], size))
+
+
+@one_thread()
+def scene_image(scene: Scene, size: tuple[int, int]) -> np.ndarray:
+    """A scene without a robot, (height, width, 3), 8 bit."""
+    meshes = scene_meshes(scene, HIDDEN)
+    if not meshes:
+        raise InvalidInputError(f"scene {scene.name!r} has no object to draw")
+    viewpoint = framed(joined(meshes).corners.reshape(-1, 3), AZIMUTHS[0], size)
+    shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
+    return eight_bit(Stage((), ground_height(scene), viewpoint, shape).picture(meshes).image)
 
 
 def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> PlanningProblem:
@@ -162,14 +196,14 @@ def stage_of(
 ) -> Stage:
     """The problem's scene without `hidden`, for pictures of (width, height) pixels that `eight_bit` makes."""
     shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
-    return Stage(scene_meshes(problem, hidden), ground_height(problem), viewpoint, shape)
+    return Stage(scene_meshes(problem.scene, hidden), ground_height(problem.scene), viewpoint, shape)
 
 
 def clear_stage(
     problem: PlanningProblem, seen: Sequence[Mesh], size: tuple[int, int], moving: Iterable[str] = ()
 ) -> Stage:
     """The scene without objects that move, from a viewpoint that shows most of the meshes `seen`."""
-    viewpoint = clear_viewpoint(seen, scene_meshes(problem, HIDDEN), size)
+    viewpoint = clear_viewpoint(seen, scene_meshes(problem.scene, HIDDEN), size)
     return stage_of(problem, viewpoint, size, (*HIDDEN, *moving))
 
 
@@ -238,7 +272,15 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 
 def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
-    """Write a PNG with a named picture of the start and of the end of each planned phase, row by row; their names.
+    """Write `task_image` as a PNG; the names in it."""
+    image, names = task_image(solution, size)
+    write_png(Path(path), image)
+    return names
+
+
+@one_thread()
+def task_image(solution: TaskSolution, size: tuple[int, int]) -> tuple[np.ndarray, list[str]]:
+    """Named pictures of the start and of the end of each planned phase, row by row, 8 bit; their names.
 
     size: width and height of one picture [pixels], without the name below it.
     """
@@ -247,7 +289,7 @@ def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 
     chosen = {name: shown(world) for name, world in worlds.items() if name in planned}
     arms = [joined(robot_meshes(problem, problem.start, ROBOT_COLOUR)) for problem in chosen.values()]
     last = list(chosen.values())[-1]
-    viewpoint = clear_viewpoint([joined(arms)], scene_meshes(last, HIDDEN), size)
+    viewpoint = clear_viewpoint([joined(arms)], scene_meshes(last.scene, HIDDEN), size)
     panels = []
     for k, (name, problem) in enumerate(chosen.items(), start=1):
         caption = strip([Label(f"{k}  {name}")], size[0], NAME_LETTERS)
@@ -258,5 +300,4 @@ def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 
     for k, panel in enumerate(panels):
         top, left = (k // COLUMNS) * height, (k % COLUMNS) * width
         sheet[top : top + len(panel), left : left + size[0]] = panel
-    write_png(Path(path), sheet)
-    return list(chosen)
+    return sheet, list(chosen)

@@ -10,6 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, whole_number
+from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -49,12 +50,17 @@ class PhaseOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class TaskSolution:
+class TaskSolution(Pictured):
     """The result of a task."""
 
     task: Task
     outcomes: tuple[PhaseOutcome, ...]  # of the planned phases in order, up to the first that failed
     world: World  # at the end
+
+    def __repr__(self) -> str:
+        timed = [outcome.trajectory.duration for outcome in self.outcomes if outcome.trajectory]
+        ended = f"solved, {sum(timed):.1f} s of motion" if self.solved else self.failure
+        return f"TaskSolution of {self.task.name!r}: {ended}\nphases      {len(timed)} planned and certified"
 
     @property
     def solved(self) -> bool:

@@ -26,6 +26,7 @@ from cvqmpt_lab.codec.plain import Checked, Document, located, unique
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
@@ -117,7 +118,7 @@ Phase: TypeAlias = Annotated[PlannedPhase | Hold | Grasp | Release, Tagged("kind
 
 
 @dataclass(frozen=True, eq=False)
-class Task(Document):
+class Task(Document, Pictured):
     """A named sequence of phases of a robot in a scene."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-task/1"
@@ -127,6 +128,12 @@ class Task(Document):
     scene: NamedScene  # At the beginning
     start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")]  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In their order
+
+    def __repr__(self) -> str:
+        return (
+            f"Task {self.name!r}: {self.robot.get('name') or self.robot.get('urdf')} in {self.scene.name}\n"
+            f"phases      {', '.join(phase.name for phase in self.phases)}"
+        )
 
     def __post_init__(self) -> None:
         super().__post_init__()

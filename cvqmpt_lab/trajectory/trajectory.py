@@ -36,6 +36,11 @@ class Trajectory:
     accelerations: np.ndarray  # (k, n) [rad/s^2]; where one jumps, the value after the jump
     deviation: float = 0.0  # largest distance from the path that was timed [rad]
 
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory of {len(self.joint_names)} joints, {len(self.times)} states, {self.duration:.2f} s"
+        )
+
     @property
     def duration(self) -> float:
         """Time from start to end [s]."""

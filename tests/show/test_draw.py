@@ -1,0 +1,49 @@
+"""What problems, robots, scenes and solutions show of themselves, and what a script finds in the package."""
+
+import inspect
+import io
+import pydoc
+import re
+
+import pytest
+from PIL import Image
+
+import cvqmpt_lab
+from cvqmpt_lab import Scene, draw, region
+from cvqmpt_lab.errors import UnknownChoiceError
+
+
+def test_all_show_themselves_in_five_lines_and_as_a_picture(problem, solution, unsolved, task):
+    for value in (problem, problem.robot, problem.scene, solution, unsolved, task):
+        lines = repr(value).splitlines()
+        assert 1 < len(lines) <= 5 and max(map(len, lines)) < 200, lines
+    assert "20 goals" in repr(problem) and "rotation about y -0.1 to 0.1 rad" in repr(problem)
+    assert "certified" in repr(solution) and "iteration_limit" in repr(unsolved)
+    html = problem.robot._repr_html_()
+    assert html.startswith("<pre>Robot &#x27;panda&#x27;") and "data:image/png;base64," in html
+    shown = Image.open(io.BytesIO(problem.scene._repr_png_()))
+    assert shown.size == (600, 400) and len(shown.getcolors(1 << 20)) > 100
+    assert Scene("empty", ())._repr_png_() is None
+
+
+def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
+    assert (
+        draw(solution, tmp_path / "a.png", (90, 60)).size == Image.open(tmp_path / "a.png").size == (90, 60)
+    )
+    assert draw(solution.problem, size=(90, 60)).size == (90, 60)
+    assert draw(task_solution, size=(90, 60)).width > 90
+    with pytest.raises(UnknownChoiceError, match="'int'; valid choices: Robot, Scene, PlanningProblem"):
+        draw(3)
+
+
+def test_the_package_has_what_a_script_needs_and_help_is_readable():
+    assert all(getattr(cvqmpt_lab, name) is not None for name in cvqmpt_lab.__all__)
+    for kind in (cvqmpt_lab.PlanningProblem, cvqmpt_lab.Scene, cvqmpt_lab.Box):
+        assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
+    text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))
+    assert (
+        "start: ndarray = <factory>, goals: ndarray = <factory>, constraint: tuple[TaskSpaceRegion, ...]"
+        in text
+    )
+    with pytest.raises(UnknownChoiceError, match="plain"):
+        region("plain")
