@@ -17,6 +17,7 @@ ENOUGH_SCENES = 400  # for the edge validity model
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out runs/ur5-transformer",
+    "cvqmpt train published --data data/roadmap --out runs/published --minutes 60",
     "cvqmpt train edge-model --data data/roadmap --out runs/edges",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
@@ -38,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--dictionary",
         type=Path,
         metavar="DIR",
-        help="stage2 (of the authors' architecture) and transformer (the shipped): --out of stage1",
+        help="stage2 (from paths), published (from labels), both of the authors' architecture, and transformer (the "
+        "shipped for the latter two): --out of stage1",
     )
     add("--model", metavar="DIR", help="edge-model: weights that get it (the shipped VQ-MPT)")
     most = f"edge-model: learn from so many at most ({ENOUGH_SCENES})"

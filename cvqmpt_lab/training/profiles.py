@@ -9,17 +9,26 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.training.batches import SceneBatchSettings
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
+from cvqmpt_lab.training.published_stage import PublishedSizes, PublishedStage
 from cvqmpt_lab.training.roadmap_dataset import open_roadmap_dataset
+from cvqmpt_lab.training.roadmap_stage import RoadmapSettings
 from cvqmpt_lab.training.stage1 import Stage1, Stage1Settings
 from cvqmpt_lab.training.stage2 import Stage2, Stage2Settings
 from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
 from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings
-from cvqmpt_lab.training.transformer_stage import TransformerSettings, TransformerStage
+from cvqmpt_lab.training.transformer_stage import TransformerStage
 from cvqmpt_lab.vqmpt import config as sizes
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint
+from cvqmpt_lab.vqmpt.scene_transformer import LONGEST
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, checkpoint_folder, resolve_model
 
-MODELS = {"stage1": "model", "stage2": "model", "mpnet": "mpnet_model", "transformer": "transformer_model"}
+MODELS = {
+    "stage1": "model",
+    "stage2": "model",
+    "mpnet": "mpnet_model",
+    "transformer": "transformer_model",
+    "published": "published_model",
+}
 """What each stage trains."""
 
 
@@ -35,7 +44,9 @@ class Profile:
     stage2: Stage2Settings | None  # None where the model is of a kind without a sequence model
     mpnet: MPNetSettings
     transformer_model: sizes.SceneTransformerSizes = field(default_factory=sizes.SceneTransformerSizes)
-    transformer: TransformerSettings = field(default_factory=TransformerSettings)
+    transformer: RoadmapSettings = field(default_factory=RoadmapSettings)
+    published_model: PublishedSizes = field(default_factory=PublishedSizes)
+    published: RoadmapSettings = field(default_factory=RoadmapSettings)
 
     def __post_init__(self) -> None:
         if (self.stage2 is None) != (self.model.sequence is None):
@@ -68,11 +79,13 @@ class Profile:
         """
         if name not in MODELS:
             raise UnknownChoiceError("stage", name, MODELS)
-        if dictionary is not None and name not in ("stage2", "transformer"):
+        if dictionary is not None and name not in ("stage2", "transformer", "published"):
             raise InvalidInputError(f"{name} takes no dictionary; leave it out")
-        if name == "transformer":
+        if name in ("transformer", "published"):
             words = load_checkpoint(resolve_model(dictionary, VQ_MPT))
             labels = open_roadmap_dataset(data)
+            if name == "published":
+                return PublishedStage(labels, words, self.published, self.published_model, seed, device)
             return TransformerStage(labels, words, self.transformer, self.transformer_model, seed, device)
         dataset = open_dataset(data, verify=verify)
         if name == "stage1":
@@ -93,6 +106,7 @@ def _compact() -> Profile:
     """The dictionary and MPNet that ship."""
     cloud = CloudSettings(points=1024)
     batches = SceneBatchSettings(scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud)
+    narrow = sizes.TransformerConfig(n_heads=3, d_k=64, d_v=64, d_model=192, d_inner=384)
     return Profile(
         name="compact",
         link_features=True,
@@ -114,6 +128,13 @@ def _compact() -> Profile:
             epochs=10,
             batches=replace(batches, spacing=0.5, batches_per_epoch=300),  # clouds have n_points points, too
             optimizer=OptimizerSettings(rate=5e-4, schedule="cosine", epsilon=1e-8, clip=1.0),
+        ),
+        published_model=PublishedSizes(
+            point_cloud=sizes.PointCloudConfig(
+                sa1=sizes.SetAbstractionConfig(radius=0.2, widths=(32, 64)),
+                sa2=sizes.SetAbstractionConfig(radius=0.4, widths=(96, 192)),
+            ),
+            sequence=sizes.SequenceConfig(context=narrow, transformer=narrow, max_length=LONGEST + 1),
         ),
     )
 
@@ -138,6 +159,17 @@ def _smoke() -> Profile:
         validation_paths=64,
     )
     quick = OptimizerSettings(rate=2e-3, warmup=20, schedule="cosine", clip=50.0)
+    few = RoadmapSettings(
+        epochs=2,
+        batches_per_epoch=30,
+        scenes=2,
+        paths=24,
+        goals=6,
+        cloud=cloud,
+        validation_scenes=4,
+        precision="float32",
+        optimizer=quick,
+    )
     return Profile(
         name="smoke",
         link_features=False,
@@ -163,17 +195,11 @@ def _smoke() -> Profile:
         transformer_model=sizes.SceneTransformerSizes(
             width=32, layers=2, heads=2, groups=32, group_size=8, values=4, edge_width=16, links=12
         ),
-        transformer=TransformerSettings(
-            epochs=2,
-            batches_per_epoch=30,
-            scenes=2,
-            paths=24,
-            goals=6,
-            cloud=cloud,
-            validation_scenes=4,
-            precision="float32",
-            optimizer=quick,
+        transformer=few,
+        published_model=PublishedSizes(
+            point_cloud=points, sequence=sizes.SequenceConfig(context=small, transformer=small)
         ),
+        published=few,
     )
 
 

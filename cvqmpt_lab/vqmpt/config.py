@@ -122,19 +122,25 @@ class ModelConfig:
     joint_dim: int = 7
     feature_dim: int = 0  # numbers beside the joints, such as link positions [m], flattened (compact only)
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
-    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)  # None in a compact model
-    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)  # None in a compact model
-    transformer: "SceneTransformerConfig | None" = None  # of a compact model's sequence model, if it has one
+    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)  # of the sequence model
+    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)  # as published; None without one
+    transformer: "SceneTransformerConfig | None" = None  # the scene transformer's, if there is one
 
     def __post_init__(self) -> None:
         require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
+        if (self.point_cloud is None) != (self.sequence is None):
+            raise InvalidInputError("give both point_cloud and sequence, or set both to null")
         if self.kind == "published":
             self._require_published()
-        elif self.point_cloud is not None or self.sequence is not None:
-            raise InvalidInputError("kind 'compact' has no point_cloud and no sequence; set them to null")
+        if self.point_cloud is not None and self.sequence is not None:
+            widths = (self.point_cloud.sa2.widths[1], self.sequence.context.d_model)
+            if {*widths} != {self.sequence.transformer.d_model}:
+                raise InvalidInputError(
+                    f"a sequence model has one latent width: {self.sequence.transformer.d_model} is not {widths}"
+                )
 
     def _require_published(self) -> None:
-        point_cloud, sequence = self.stage2
+        _, sequence = self.stage2
         departures = {
             "feature_dim": self.feature_dim > 0,
             "dictionary.encoder": self.dictionary.encoder != "transformer",
@@ -144,9 +150,10 @@ class ModelConfig:
             if departs:
                 raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
         width = sequence.transformer.d_model
-        widths = (self.dictionary.transformer.d_model, point_cloud.sa2.widths[1])
-        if {*widths, sequence.context.d_model} != {width}:
-            raise InvalidInputError(f"kind 'published' has one latent width: {width} is not {widths}")
+        if self.dictionary.transformer.d_model != width:
+            raise InvalidInputError(
+                f"kind 'published' has one latent width: {width} is not {self.dictionary.transformer.d_model}"
+            )
 
     @property
     def stage2(self) -> tuple[PointCloudConfig, SequenceConfig]:

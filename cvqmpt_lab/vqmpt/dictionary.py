@@ -77,9 +77,12 @@ class SelfAttentionLayer(nn.Module):
         self.slf_attn = MultiHeadAttention(sizes)
         self.pos_ffn = FeedForward(sizes.d_model, sizes.d_inner, sizes.dropout)
 
-    def forward(self, tokens: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Map tokens (b, t, d_model) to the same shape; `visible` (b, t) as in `MultiHeadAttention`."""
-        return self.pos_ffn(self.slf_attn(tokens, tokens, visible))
+    def forward(self, tokens: Tensor, visible: Tensor | None = None, read: Tensor | None = None) -> Tensor:
+        """Map tokens (b, t, d_model) to the same shape; `visible` (b, t) as in `MultiHeadAttention`.
+
+        read: those of the tokens (b, r, d_model) whose outputs alone are wanted.
+        """
+        return self.pos_ffn(self.slf_attn(tokens if read is None else read, tokens, visible))
 
 
 class CrossAttentionLayer(nn.Module):

@@ -80,7 +80,7 @@ class Predictor:
         began = time.perf_counter()
         scene = self.encode_scene(cloud, use_cache)
         encoded = time.perf_counter()
-        ends = self._configurations.of(np.vstack((start[None], goals)))
+        ends = self._configurations.normalised(np.vstack((start[None], goals))).astype(np.float32)
         starts, ends = ends[:1].repeat(len(goals), axis=0), ends[1:]
         decoder = self._network.decoder(self._dictionary, scene, starts, ends)
         sequences = beam_search(decoder, max_length=self._length, published=True)

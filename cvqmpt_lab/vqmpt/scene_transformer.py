@@ -332,18 +332,20 @@ class SceneTransformer(nn.Module):
             goals.append(to_goal[:, :, 1:] + extra.masked_fill(~known, 0.0))
         return torch.cat((torch.cat(steps, 2), torch.cat(goals, 2)[..., None]), -1)
 
-    def ways(self, start: Tensor, goal: Tensor, codes: Tensor) -> Tensor:
-        """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on the roadmap.
 
-        start, goal: (s, r, n) [rad].
-        """
-        count, links, device = len(self.nodes), self.config.sizes.links, codes.device
-        near = [torch.cdist(q.flatten(0, 1), self.nodes).topk(links, largest=False)[1] for q in (start, goal)]
-        first, last = (
-            torch.zeros(len(rows), count + 1, device=device).scatter(1, rows, 1.0) for rows in near
-        )
-        table = torch.zeros(count, count + 1, device=device).scatter(1, self.graph.neighbour, 1.0)
-        table.fill_diagonal_(0.0)  # what pads the table of neighbours
-        following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
-        following[..., -1] = last.gather(1, codes.flatten(0, 1))
-        return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, count + 1)
+def roadmap_ways(
+    nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
+) -> Tensor:
+    """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on a roadmap.
+
+    nodes (N, n), edges (E, 2); links: nodes that a start or goal leads to; start, goal (s, r, n) [rad].
+    """
+    near = [torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)]
+    first, last = (
+        torch.zeros(len(rows), len(nodes) + 1, device=codes.device).scatter(1, rows, 1.0) for rows in near
+    )
+    table = torch.zeros(len(nodes), len(nodes) + 1, device=codes.device)
+    table[edges[:, 0], edges[:, 1]] = table[edges[:, 1], edges[:, 0]] = 1.0
+    following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
+    following[..., -1] = last.gather(1, codes.flatten(0, 1))
+    return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, len(nodes) + 1)

@@ -48,7 +48,7 @@ class CrossAttentionContext(nn.Module):
         self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
 
     def forward(self, start_goal: Tensor, scene: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Map start_goal (b, 2, joint_dim), scene (b, m, d_model), visible (b, m) to M (b, 2, d_model)."""
+        """Map start_goal (b, t, joint_dim), scene (b, m, d_model), visible (b, m) to M (b, t, d_model)."""
         tokens = self.to_latent_embedding(start_goal)
         for layer in self.layer_stack:
             tokens = layer(tokens, scene, visible)
@@ -86,9 +86,11 @@ class AutoRegressiveModel(nn.Module):
 
     def forward(self, tokens: Tensor, read: Tensor, visible: Tensor | None = None) -> Tensor:
         """Logits (b, n_classes) at token read (b,) of tokens (b, t, d_model); visible (b, t) hides padding."""
-        for layer in self.layer_stack:
+        *before, last = self.layer_stack
+        for layer in before:
             tokens = layer(tokens, visible)
-        return self.class_pred(self.layer_norm(tokens[torch.arange(len(tokens)), read]))
+        token = last(tokens, visible, tokens[torch.arange(len(tokens)), read][:, None])
+        return self.class_pred(self.layer_norm(token[:, 0]))
 
 
 class PublishedSequenceModel(nn.Module):
@@ -96,7 +98,7 @@ class PublishedSequenceModel(nn.Module):
 
     The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. Since tokens are not causal, each prefix is a
     sample of its own, and prediction is read at its last token. Codes enter through the dictionary's
-    `Quantizer.lookup`, without gradient.
+    `Quantizer.lookup`, without gradient, and a linear layer where the dictionary has another width.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -104,6 +106,8 @@ class PublishedSequenceModel(nn.Module):
         point_cloud, sequence = config.stage2
         self.context = SceneContext(config.joint_dim, point_cloud, sequence.context)
         self.autoregressive = AutoRegressiveModel(config.goal_class + 1, sequence.transformer)
+        given, width = config.dictionary.transformer.d_model, sequence.transformer.d_model
+        self.enter = nn.Identity() if given == width else nn.Linear(given, width)
 
     def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Scene:
         """Encode clouds (n_i, 3) [m, robot base frame]; errors as of `require_point_cloud`."""
@@ -123,8 +127,8 @@ class PublishedSequenceModel(nn.Module):
             raise InvalidInputError(
                 f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for each"
             )
-        tokens, visible = (part.repeat_interleave(times, 0) for part in scene)
-        return self.context.context_encoder(torch.stack((start, goal), 1), tokens, visible)
+        ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)  # which ignore each other
+        return self.context.context_encoder(ends, *scene).view(len(start), 2, -1)
 
     def prefix_logits(
         self, context: Tensor, codes: Tensor, quantizer: Quantizer, lengths: Tensor | None = None
@@ -136,6 +140,7 @@ class PublishedSequenceModel(nn.Module):
         """
         with torch.no_grad():
             embedded = quantizer.lookup(codes)
+        embedded = self.enter(embedded)
         start_token = torch.full_like(context[:, :1], START_TOKEN)
         tokens = torch.cat((context, start_token, embedded), dim=1)
         if lengths is None:

@@ -36,7 +36,10 @@ LATER_FIELDS: dict[str, dict[str, Any]] = {
 }  # that earlier files lack
 PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer", "sight"), MPNET: ("mpnet",)}
 """Files of each architecture. The first is always there; of VQ-MPT's others those that were trained."""
-TRAINED_BY = {"transformer": "train one: cvqmpt train transformer --data DIR --out DIR"}
+TRAINED_BY = {
+    "transformer": "train one: cvqmpt train transformer --data DIR --out DIR",
+    "sequence_model": "train one: cvqmpt train published --data DIR --out DIR",
+}
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
 SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
 """Names and architectures of the weights that come with the package; the first of each is the default."""
@@ -118,8 +121,8 @@ class StoredModel:
     def require_part(self, part: str) -> None:
         """Raise InvalidInputError when a part was not trained."""
         if part not in self.parts:
-            cure = TRAINED_BY.get(part, "train stage2 of kind 'published' for one")
-            raise InvalidInputError(f"the model has no {part}, only {', '.join(self.parts)}; {cure}")
+            cure = f"; {TRAINED_BY[part]}" if part in TRAINED_BY else ""
+            raise InvalidInputError(f"the model has no {part}, only {', '.join(self.parts)}{cure}")
 
     def array(self, part: str, name: str, *shape: int) -> np.ndarray:
         """An array of a part, which must have this shape, in float64; InvalidInputError when it does not fit."""

@@ -40,6 +40,23 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     assert all(np.isfinite(part).all() for part in codebook.gaussians(codebook.vectors[:5]))
 
 
+def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, capsys):
+    """With the shipped dictionary, which has another width, and the dense loss."""
+    labels, out, config = tmp_path / "labels", tmp_path / "out", tmp_path / "tiny.json"
+    scenes = ["--labels", "roadmap", "--family", "table,shelves", "--scenes", "4", "--jobs", "1"]
+    assert main(["data", "generate", *scenes, "--out", str(labels)]) == 0
+    profile = to_plain(PROFILES["smoke"], complete=True)
+    profile["published"] |= {"batches_per_epoch": 2, "validation_scenes": 2}
+    profile["published_model"]["dense"] = True
+    config.write_text(json.dumps(profile))
+    train = ["train", "published", "--config", str(config), "--data", str(labels), "--out", str(out)]
+    assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
+    said = capsys.readouterr().out
+    assert "validation_no_cloud_cross_entropy_ways" in said and "validation_edge_area_under_curve" in said
+    assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
+    assert "solved" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_a_scene_transformer_for_another_arm(tmp_path, request):
     """For a UR5, from nothing: dictionary, labels on its roadmap, transformer, sequences; a minute and a half."""

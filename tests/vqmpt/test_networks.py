@@ -254,11 +254,10 @@ def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
         ("dictionary.n_codes", None, "model.dictionary.n_codes is None"),
         ("point_cloud.sa1.widths", [3], "must be a list of 2"),
         ("point_cloud.sa1.ratio", 1.5, "a ratio of at most 1"),
-        ("sequence", None, "has no sequence model; use kind 'published'"),
+        ("sequence", None, "give both point_cloud and sequence, or set both to null"),
         ("point_cloud", 3, "must be an object"),
         ("feature_dim", 24, "kind 'published' has no feature_dim"),
         ("sequence.transformer.d_model", 8, "one latent width"),
-        ("kind", "compact", "kind 'compact' has no point_cloud and no sequence"),
     ],
 )
 def test_config_names_the_wrong_field(path, value, message):

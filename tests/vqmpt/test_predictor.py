@@ -81,5 +81,5 @@ def test_bad_input_is_one_line(predictor, change, message):
 
 
 def test_a_model_of_stage_1_alone_predicts_nothing(panda, checkpoint):
-    with pytest.raises(InvalidInputError, match="train stage2"):
+    with pytest.raises(InvalidInputError, match="train published"):
         Predictor(stored(dataclasses.replace(checkpoint, sequence_model=None)), panda)

@@ -18,7 +18,7 @@ from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
 from cvqmpt_lab.vqmpt.point_groups import group_points
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
-from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer
+from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer, roadmap_ways
 from cvqmpt_lab.vqmpt.sequence_decoder import LONGEST, SequenceDecoder
 
 SMALL = SceneTransformerSizes(
@@ -122,7 +122,8 @@ def test_ways_after_every_prefix_are_as_likely_as_by_torch(checkpoint, predictor
         first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
         V, first = network.cost_to_go(by_torch, ends), Ends(*(p.expand(-1, len(goals), -1) for p in first))
         logits = network.logits(by_torch, first, ends, V, codes)[0]
-        allowed = network.ways(tensor(start).expand(1, len(goals), -1), tensor(goals), codes)[0]
+        roadmap = network.nodes, network.edges, network.config.sizes.links
+        allowed = roadmap_ways(*roadmap, tensor(start).expand(1, len(goals), -1), tensor(goals), codes)[0]
     expected = logits.masked_fill(~allowed, -torch.inf).log_softmax(-1).numpy()
     for step, (ways, log_p) in enumerate(steps):
         found = np.full((len(goals), 65), -np.inf)
