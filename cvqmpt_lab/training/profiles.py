@@ -107,8 +107,8 @@ def _compact() -> Profile:
     cloud = CloudSettings(points=1024)
     batches = SceneBatchSettings(scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud)
     labels = RoadmapSettings()
-    # The authors' structure with about as many numbers as the scene transformer: at their width of 512 a core takes
-    # an eighth as many sequences a second.
+    # The authors' structure with about as many numbers as the scene transformer and twice its scene tokens: at their
+    # width of 512 a core takes an eighth as many sequences a second.
     narrow = sizes.TransformerConfig(n_heads=3, d_k=64, d_v=64, d_model=192, d_inner=384)
     return Profile(
         name="compact",
@@ -134,8 +134,8 @@ def _compact() -> Profile:
         ),
         published_model=PublishedSizes(
             point_cloud=sizes.PointCloudConfig(
-                sa1=sizes.SetAbstractionConfig(radius=0.2, widths=(32, 64)),
-                sa2=sizes.SetAbstractionConfig(radius=0.4, widths=(96, 192)),
+                sa1=sizes.SetAbstractionConfig(ratio=0.5, radius=0.2, max_neighbours=32, widths=(32, 64)),
+                sa2=sizes.SetAbstractionConfig(ratio=0.5, radius=0.4, max_neighbours=32, widths=(128, 192)),
             ),
             sequence=sizes.SequenceConfig(context=narrow, transformer=narrow, max_length=LONGEST + 1),
         ),
