@@ -15,6 +15,7 @@ EXAMPLES = (
     "cvqmpt bench collision --states 1000000 --json collision.json",
     "cvqmpt bench sight --problems 4",
     "cvqmpt bench transformer --model runs/transformer",
+    "cvqmpt bench sequences --problems 60",
     "cvqmpt bench planners --problems 30",
 )
 
@@ -23,11 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which bench, how much, where to."""
     add = parser.add_argument
     add("bench", help=", ".join(BENCHES))
-    add("--problems", type=positive_int, default=20, metavar="N", help="problems to plan; sight: scenes (20)")
+    add("--problems", type=positive_int, default=20, metavar="N", help="problems, or scenes (20)")
     add(
         "--states", type=positive_int, default=4000, metavar="N", help="collision: states of each kind (4000)"
     )
-    add("--model", metavar="DIR", help="transformer: weights that have one (the shipped VQ-MPT)")
+    add("--model", metavar="DIR", help="transformer, sequences: the weights (the shipped VQ-MPT)")
     add("--json", type=Path, metavar="F", help="write the figures as json too")
 
 
@@ -35,8 +36,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
     if args.bench not in BENCHES:
         raise UnknownChoiceError("bench", args.bench, BENCHES)
-    if args.model is not None and args.bench != "transformer":
-        raise InvalidInputError("--model is for bench transformer; leave it out")
+    if args.model is not None and args.bench not in ("transformer", "sequences"):
+        raise InvalidInputError("--model is for bench transformer and sequences; leave it out")
     if args.json:
         writable_file(args.json)
     compile_kernels(log)

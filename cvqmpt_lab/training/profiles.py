@@ -11,7 +11,7 @@ from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
 from cvqmpt_lab.training.published_stage import PublishedSizes, PublishedStage
 from cvqmpt_lab.training.roadmap_dataset import open_roadmap_dataset
-from cvqmpt_lab.training.roadmap_stage import RoadmapSettings
+from cvqmpt_lab.training.roadmap_stage import RoadmapSettings, RoadmapStage
 from cvqmpt_lab.training.stage1 import Stage1, Stage1Settings
 from cvqmpt_lab.training.stage2 import Stage2, Stage2Settings
 from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
@@ -84,9 +84,12 @@ class Profile:
         if name in ("transformer", "published"):
             words = load_checkpoint(resolve_model(dictionary, VQ_MPT))
             labels = open_roadmap_dataset(data)
+            made: RoadmapStage
             if name == "published":
-                return PublishedStage(labels, words, self.published, self.published_model, seed, device)
-            return TransformerStage(labels, words, self.transformer, self.transformer_model, seed, device)
+                made = PublishedStage(labels, words, self.published, self.published_model, seed, device)
+            else:
+                made = TransformerStage(labels, words, self.transformer, self.transformer_model, seed, device)
+            return made.require_splits()
         dataset = open_dataset(data, verify=verify)
         if name == "stage1":
             return Stage1(dataset, self.model_for(dataset), self.stage1, seed, device)

@@ -7,7 +7,7 @@ P(edge free), the latter twice, where a model predicts them. Every path is learn
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -167,7 +167,7 @@ class RoadmapStage(Stage):
     ) -> None:
         """Prepare to train on labels of a dictionary's roadmap; links: codes that a start or goal leads to.
 
-        InvalidInputError: the dictionary is of another robot, or the labels are few or without kinematics.
+        InvalidInputError: the dictionary is of another robot, or the labels are without kinematics.
         """
         super().__init__(settings.optimizer, seed, device)
         graph, codes = dataset.graph, dictionary.config.dictionary.n_codes
@@ -184,11 +184,16 @@ class RoadmapStage(Stage):
         usable = count >= FEWEST_PATHS
         validates = dataset.scenes.seed % VALIDATION_EVERY == 0
         self._train, self._held_out = np.flatnonzero(usable & ~validates), np.flatnonzero(usable & validates)
-        if len(self._train) < settings.scenes or len(self._held_out) < settings.scenes:
+
+    def require_splits(self) -> Self:
+        """Raise InvalidInputError where the labels are few."""
+        scenes = self.settings.scenes
+        if len(self._train) < scenes or len(self._held_out) < scenes:
             raise InvalidInputError(
-                f"{dataset.folder} has {len(self._train)} scenes to train on and {len(self._held_out)} to validate "
-                f"with; generate {settings.scenes * VALIDATION_EVERY} scenes at least"
+                f"{self.dataset.folder} has {len(self._train)} scenes to train on and {len(self._held_out)} to "
+                f"validate with; generate {scenes * VALIDATION_EVERY} scenes at least"
             )
+        return self
 
     @abstractmethod
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -235,7 +240,10 @@ class RoadmapStage(Stage):
 
     def validate(self) -> dict[str, float | None]:
         """Means on held-out scenes: with their own cloud, that of another scene, and none."""
-        rows = self._held_out[: self.settings.validation_scenes]
+        return self.measured(self._held_out[: self.settings.validation_scenes])
+
+    def measured(self, rows: np.ndarray, other: np.ndarray | None = None) -> dict[str, float | None]:
+        """The same in scenes `rows`; other (m, 3): the cloud of another scene, None for the next one of a batch."""
         rows = rows[: len(rows) // self.settings.scenes * self.settings.scenes].reshape(
             -1, self.settings.scenes
         )
@@ -245,23 +253,27 @@ class RoadmapStage(Stage):
         means = Means()
         for number in range(len(batches)):
             batch = {name: torch.from_numpy(array).to(self.device) for name, array in batches[number].items()}
-            self._measure(means, batch)
+            self._measure(means, batch, other)
         return means.values()
 
-    def _measure(self, means: Means, batch: dict[str, Tensor]) -> None:
+    def _everywhere(self, points: np.ndarray, batch: dict[str, Tensor]) -> Cloud:
+        """One cloud for all scenes of a batch."""
+        arrays = self.cloud_arrays(points)
+        return {n: torch.from_numpy(a).to(self.device).expand_as(batch[n]) for n, a in arrays.items()}
+
+    def _measure(self, means: Means, batch: dict[str, Tensor], other: np.ndarray | None) -> None:
         start, goal = (chosen(batch[f"{end}s"], batch[end]) for end in ("start", "goal"))
         graph = self.dataset.graph
         roadmap = torch.from_numpy(graph.nodes).float(), torch.from_numpy(graph.edges.astype(np.int64))
         nodes, edges = (part.to(self.device) for part in roadmap)
         ways = roadmap_ways(nodes, edges, self._links, start, goal, batch["codes"])
-        empty = self.cloud_arrays(
-            np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
-        )
-        nowhere = {name: torch.from_numpy(array).to(self.device) for name, array in empty.items()}
+        nowhere = np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
+        none = self._everywhere(nowhere, batch)
+        rolled = {name: batch[name].roll(1, 0) for name in none}
         clouds: dict[str, Cloud] = {
             "": batch,
-            "wrong_cloud_": {name: batch[name].roll(1, 0) for name in empty},
-            "no_cloud_": {name: part.expand_as(batch[name]) for name, part in nowhere.items()},
+            "wrong_cloud_": rolled if other is None else self._everywhere(other, batch),
+            "no_cloud_": none,
         }
         for prefix, given in clouds.items():
             logits, *dense = self.predict(given, batch)

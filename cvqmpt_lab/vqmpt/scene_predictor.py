@@ -70,6 +70,12 @@ class SceneTransformerPredictor:
 
         beams: hypotheses kept for each goal, K. Raises InvalidInputError for a start or goal outside the joint limits.
         """
+        return [found[0] for found in self.hypotheses(scene, start, goals, beams)]
+
+    def hypotheses(
+        self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3
+    ) -> list[list[CodeSequence]]:
+        """All that are in the beams at the end, likeliest first, for each goal; see `sequences`."""
         start, goals = checked_ends(self.robot, start, goals)
         decoder = SequenceDecoder(self._network, scene, start, goals)
         return likeliest_sequences(decoder, beams)

@@ -127,8 +127,10 @@ def _log_softmax(logits: np.ndarray) -> np.ndarray:
     return logits
 
 
-def likeliest_sequences(decoder: SequenceDecoder, beams: int, longest: int = LONGEST) -> list[CodeSequence]:
-    """The likeliest sequence to each goal, by a beam search over the ways on; as of `beam_search.beam_search`.
+def likeliest_sequences(
+    decoder: SequenceDecoder, beams: int, longest: int = LONGEST
+) -> list[list[CodeSequence]]:
+    """The hypotheses to each goal, likeliest first, by a beam search over the ways; as of `beam_search.beam_search`.
 
     A goal's rows are left out of the batch once its best hypothesis is finished. longest: codes of a sequence.
     """
@@ -138,7 +140,7 @@ def likeliest_sequences(decoder: SequenceDecoder, beams: int, longest: int = LON
         raise InvalidInputError(f"{beams} beams; give 1 to {links}")
     column, score = _largest(log_p, beams)
     codes = np.take_along_axis(ways, column, axis=1)[..., None]  # (k, beams, t)
-    asked, found = np.arange(goals), dict[int, CodeSequence]()
+    asked, found = np.arange(goals), dict[int, list[CodeSequence]]()
     parents, ended = asked.repeat(beams), np.zeros((goals, beams), dtype=bool)
     for _ in range(longest):
         latest = np.where(ended, 0, codes[..., -1]).ravel()
@@ -155,7 +157,7 @@ def likeliest_sequences(decoder: SequenceDecoder, beams: int, longest: int = LON
         )
         ended = codes[..., -1] == goal_class
         for one in np.flatnonzero(ended[:, 0]).tolist():
-            found[int(asked[one])] = _sequence(codes[one, 0], float(score[one, 0]), goal_class)
+            found[int(asked[one])] = _sequences(codes[one], score[one], goal_class)
         going = ~ended[:, 0]
         if not going.any():
             break
@@ -168,17 +170,17 @@ def likeliest_sequences(decoder: SequenceDecoder, beams: int, longest: int = LON
         )
     else:
         for one, goal in enumerate(asked.tolist()):  # the best that is finished, else the best
-            best = int(ended[one].argmax())
-            found[goal] = _sequence(codes[one, best], float(score[one, best]), goal_class)
+            order = np.argsort(~ended[one], kind="stable")
+            found[goal] = _sequences(codes[one, order], score[one, order], goal_class)
     return [found[goal] for goal in range(goals)]
 
 
-def _sequence(codes: np.ndarray, score: float, goal_class: int) -> CodeSequence:
-    """A hypothesis up to its goal."""
-    listed = codes.tolist()
-    return CodeSequence(
-        tuple(code for code in listed if code != goal_class), goal_class in listed, score, score
-    )
+def _sequences(codes: np.ndarray, score: np.ndarray, goal_class: int) -> list[CodeSequence]:
+    """Hypotheses (beams, t), each up to its goal."""
+    return [
+        CodeSequence(tuple(code for code in row if code != goal_class), goal_class in row, p, p)
+        for row, p in zip(codes.tolist(), score.tolist(), strict=True)
+    ]
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -28,6 +28,7 @@ from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.measurement import CALIBRATION, CpuTimes, Figure, Measurement, measured
 from experiments.bench.perception import bench_calibration, bench_scan, bench_sight
 from experiments.bench.scene_prediction import bench_transformer
+from experiments.bench.sequence_quality import bench_sequences
 from experiments.bench.state_checks import bench_collision, bench_kernels
 from experiments.executors import local_processes
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
@@ -238,6 +239,7 @@ BENCHES: Mapping[str, Callable[[int, int, str | None], Iterable[Measurement]]] =
     "stages": lambda problems, states, model: bench_stages(problems),
     "networks": lambda problems, states, model: bench_networks(problems),
     "transformer": lambda problems, states, model: bench_transformer(problems, model),
+    "sequences": lambda problems, states, model: bench_sequences(problems, model),
     "throughput": lambda problems, states, model: bench_throughput(problems),
     "growth": lambda problems, states, model: bench_growth(),
     "sight": lambda problems, states, model: bench_sight(problems),
