@@ -67,12 +67,15 @@ def bench_sequences(scenes: int, model: str | None) -> Iterator[Measurement]:
     robot, folder = panda(), resolve_model(model, VQ_MPT)
     stored = load_vq_mpt(robot, folder)
     require_torch("bench sequences")
+    from cvqmpt_lab.training.held_out import held_out_values
+
+    other = observer()(family_scene(*OTHER_SCENE)).astype(np.float32)
     predicts, nodes = _predicts(stored, robot), dictionary_roadmap(str(folder), robot).nodes
     for name, kind in {"kitchen": KitchenRecipe, "families": RoadmapRecipe}.items():
         with TemporaryDirectory() as data:
             generate(kind(scenes, PAIRS, seed=UNSEEN, model=str(folder)), Path(data), [])
             labels = open_roadmap_dataset(Path(data))
-        found = _measured(stored, labels)
+        found = held_out_values(stored, labels, other, PAIRS)
         for key, what in MEASURES.items():
             value = found.get(key)
             if value is not None:
@@ -102,33 +105,6 @@ def _family_queries(labels: RoadmapDataset) -> list[Query]:
         chosen = rng.choice(paths, min(QUERIES, len(paths)), replace=False)
         queries += [(scene, start, goal[None]) for start, goal in labels.configurations(chosen).astype(float)]
     return queries
-
-
-def _measured(stored: StoredModel, labels: RoadmapDataset) -> dict[str, float | None]:
-    """What a training's validation says of a model, in all scenes of labels."""
-    import torch
-
-    from cvqmpt_lab.training.published_stage import PublishedSizes, PublishedStage
-    from cvqmpt_lab.training.roadmap_stage import RoadmapSettings
-    from cvqmpt_lab.training.transformer_stage import TransformerStage
-    from cvqmpt_lab.vqmpt.checkpoint import as_modules
-
-    settings, cpu = RoadmapSettings(scenes=1, paths=PAIRS), torch.device("cpu")
-    checkpoint = as_modules(stored)
-    stage: TransformerStage | PublishedStage
-    if checkpoint.transformer is not None:
-        stage = TransformerStage(labels, checkpoint, settings, checkpoint.transformer.config.sizes, 0, cpu)
-        stage.module.load_state_dict(checkpoint.transformer.state_dict())
-    else:
-        assert checkpoint.sequence_model is not None
-        point_cloud, sequence = stored.config.stage2
-        sizes = PublishedSizes(point_cloud=point_cloud, sequence=sequence)
-        stage = PublishedStage(labels, checkpoint, settings, sizes, 0, cpu)
-        stage.model.load_state_dict(checkpoint.sequence_model.state_dict())
-    stage.module.eval()
-    other = observer()(family_scene(*OTHER_SCENE)).astype(np.float32)
-    with torch.no_grad():
-        return stage.measured(np.unique(labels.path_scene), other)
 
 
 def _free(predicts: Predicts, robot: Robot, nodes: np.ndarray, queries: Sequence[Query]) -> np.ndarray:
