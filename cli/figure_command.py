@@ -11,8 +11,8 @@ from experiments.figures.code_update import UpdateSettings
 from experiments.figures.run_figure import FIGURES, NAME, ROW_FIGURES
 
 EXAMPLES = (
-    "cvqmpt figure histogram --problem 7 --out runs/histogram",
-    "cvqmpt figure concept --model runs/stage2/model --out runs/concept",
+    "cvqmpt figure histogram --problems 30 --out runs/histogram",
+    "cvqmpt figure concept --problem 7 --model runs/stage2/model --out runs/concept",
     "cvqmpt figure cost --out runs/place-task",
     f"cvqmpt figure {NAME} --problems 30 --out runs/{NAME}",
 )
@@ -22,8 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which figure, of which problem, by which model."""
     add = parser.add_argument
     add("figure", help=f"one of {', '.join((*FIGURES, NAME, *ROW_FIGURES))}")
-    add("--problem", type=int, default=0, metavar="I", help="index of the place task's problem (0)")
-    first = f"of {NAME}: the first N problems (30)"
+    add(
+        "--problem",
+        type=int,
+        default=0,
+        metavar="I",
+        help="of concept: index of the place task's problem (0)",
+    )
+    first = f"of histogram and {NAME}: the first N problems (30)"
     add("--problems", type=positive_int, default=30, metavar="N", help=first)
     add_model(parser)
     add("--seed", type=int, default=0, metavar="S", help="seed of all randomness (0)")
@@ -50,10 +56,11 @@ def run(args: argparse.Namespace) -> int:
         if args.figure == NAME:
             written = run_figure.compare_at_equal_time(out, args.problems, command)
         else:
-            update, written = run_figure.reproduce_figure(
-                args.figure, out, command, args.problem, args.model, settings
+            problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
+            updates, written = run_figure.reproduce_figure(
+                args.figure, out, command, problems, args.model, settings
             )
-            print("\n".join(run_figure.summary(update)))
+            print("\n".join(run_figure.summary(updates)))
     for path in written:
         print(f"written {path}")
     return 0

@@ -20,7 +20,7 @@ from experiments.suites.suite import SUITES, suite_named
 from paper_tables.suite_tables import render_directory
 
 ALL = "all"
-HISTOGRAM = ("histogram", 7)  # the figure that is part of all, and the problem that it is of
+HISTOGRAM = ("histogram", 12)  # the figure that is part of all, and of how many problems
 FIXED = ("problems", "seeds", "planners", "model", "cutoff", "iterations", "optimize")  # in all
 EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
@@ -87,11 +87,11 @@ def _reproduce_all(args: argparse.Namespace) -> int:
         with executor_for(amount.experiment, jobs) as executor:
             run_experiment(amount.experiment, folder, executor, command, ProgressBar(amount.folder))
         render_directory(folder)
-    figure, problem = HISTOGRAM
+    figure, count = HISTOGRAM
     folder = out / figure
     if not (folder / PROVENANCE_FILE).is_file():
-        command = ["cvqmpt", "figure", figure, "--problem", str(problem), "--out", str(folder)]
-        reproduce_figure(figure, folder, command, problem)
+        command = ["cvqmpt", "figure", figure, "--problems", str(count), "--out", str(folder)]
+        reproduce_figure(figure, folder, command, range(count))
     for path, text in pages_of(out).items():
         write_text(path, text)
     print("\n".join(verdict_lines(out)))

@@ -1,8 +1,10 @@
 """Every claim of the paper, judged by committed rows: does it hold?"""
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
@@ -159,10 +161,14 @@ def _judged(said: Sequence[Statement], evidence: Evidence) -> tuple[Verdict, ...
 
 
 def _updated(evidence: Evidence) -> Verdict:
-    """G of the predicted codes before and after the update, a pair a code."""
+    """G of the predicted codes after the update over that before; a problem counts once, with its geometric mean."""
+    logs: dict[str, list[float]] = {}
     with (evidence.folder / HISTOGRAM_VALUES).open(encoding="utf-8", newline="") as handle:
-        pairs = [(float(line["g_after"]), float(line["g_before"])) for line in csv.DictReader(handle)]
-    ours = less(geometric_mean_interval([after / before for after, before in pairs if after > 0.0 < before]))
+        for line in csv.DictReader(handle):
+            after, before = float(line["g_after"]), float(line["g_before"])
+            if line["code"] != "goal" and after > 0.0 < before:
+                logs.setdefault(line["problem"], []).append(math.log(after / before))
+    ours = less(geometric_mean_interval([math.exp(fmean(codes)) for codes in logs.values()]))
     said = statements.UPDATED
     return Verdict(said, said.baselines[0], None, ours, ruling(ours, said.stated))
 

@@ -13,10 +13,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from experiments.figures.code_update import (
-    FAR,
     CodeUpdate,
     UpdateSettings,
-    code_changes,
     histogram_figure,
     update_codes,
     write_tables,
@@ -24,7 +22,7 @@ from experiments.figures.code_update import (
 from experiments.figures.drawing import save_figure
 from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
 from experiments.figures.row_figures import draw_cost, draw_difficulty, draw_robustness
-from experiments.figures.scene_pictures import hand_figure, hands_of_code, write_hands
+from experiments.figures.scene_pictures import concept_figure, write_hands
 from experiments.run import weights_of
 from experiments.suites.suite import suite_named
 
@@ -36,28 +34,29 @@ def reproduce_figure(
     figure: str,
     out: Path,
     command: Sequence[str],
-    problem: int = 0,
+    problems: Sequence[int] = (0,),
     model: str | None = None,
     settings: UpdateSettings | None = None,
-) -> tuple[CodeUpdate, list[Path]]:
-    """Predict, update, and write a figure of `FIGURES`, tables and provenance into a folder.
+) -> tuple[list[CodeUpdate], list[Path]]:
+    """Predict and update on problems, and write a figure of `FIGURES`, tables and provenance into a folder.
 
     model: its name or folder (None: the shipped one). RunStoreError: the folder holds other results.
     """
-    posed = suite_named(SUITE).solvable(problem)
-    assert isinstance(posed, PlanningProblem)
+    posed = [suite_named(SUITE).solvable(index) for index in problems]
     settings, folder = settings or UpdateSettings(), resolve_model(model or MODEL, SHIPPED[MODEL])
     configuration: dict[str, Any] = {
         "figure": figure,
         "suite": SUITE,
-        "problem": problem,
+        "problems": list(problems),
         "update": asdict(settings),
     }
     session = provenance(command, [settings.seed], {MODEL: weights_digest(folder)})
     record = _record(out, configuration, session)
-    update = update_codes(posed, str(folder), settings)
+    updates = [
+        update_codes(each, str(folder), settings) for each in posed if isinstance(each, PlanningProblem)
+    ]
     record.create(configuration, session)
-    return update, [*FIGURES[figure](update, out), record.path]
+    return updates, [*FIGURES[figure](updates, out), record.path]
 
 
 def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> list[Path]:
@@ -84,24 +83,18 @@ def _record(out: Path, configuration: Mapping[str, Any], session: Mapping[str, A
     return record
 
 
-def _histogram(update: CodeUpdate, folder: Path) -> list[Path]:
-    changes = code_changes(update)
-    return [
-        *save_figure(histogram_figure(changes), folder, "histogram"),
-        *write_tables(update, changes, folder),
-    ]
+def _histogram(updates: Sequence[CodeUpdate], folder: Path) -> list[Path]:
+    return [*save_figure(histogram_figure(updates), folder, "histogram"), *write_tables(updates, folder)]
 
 
-def _concept(update: CodeUpdate, folder: Path) -> list[Path]:
-    far = update.representatives()[FAR]
-    sides = hands_of_code(update, far)
-    figure = hand_figure(update.problem, [side.panel for side in sides])
-    table = write_hands(int(update.codes[far]), sides, folder / "concept.csv")
-    return [*save_figure(figure, folder, "concept"), table]
+def _concept(updates: Sequence[CodeUpdate], folder: Path) -> list[Path]:
+    (update,) = updates
+    table = write_hands(update, folder / "concept.csv")
+    return [*save_figure(concept_figure(update), folder, "concept"), table]
 
 
-# figures by name, drawn into a folder: of an update, and of a folder of rows
-FIGURES: Mapping[str, Callable[[CodeUpdate, Path], list[Path]]] = {
+# figures by name, drawn into a folder: of updates, and of a folder of rows
+FIGURES: Mapping[str, Callable[[Sequence[CodeUpdate], Path], list[Path]]] = {
     "histogram": _histogram,
     "concept": _concept,
 }
@@ -112,17 +105,21 @@ ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
 }
 
 
-def summary(update: CodeUpdate) -> list[str]:
-    """A few lines about an update."""
-    before, after = update.g_before.mean(axis=1), update.g_after.mean(axis=1)
-    inside = [(g == 0.0).mean() for g in (update.g_before, update.g_after)]
-    centres = [np.median(g) for g in (update.centre_before, update.centre_after)]
-    lines = [
-        f"{len(before)} codes to {len(update.problem.goals)} goals, {int(update.kept.sum())} of them left in place",
-        f"F^T F at the means: median {centres[0]:.4g} before, {centres[1]:.4g} after",
-        f"mean F^T F of all draws: {before.mean():.4g} before, {after.mean():.4g} after",
-        f"draws on the constraint: {inside[0]:.2%} before, {inside[1]:.2%} after",
-    ]
-    for role, i in update.representatives().items():
-        lines.append(f"{role}: code {update.codes[i]}: {before[i]:.4g} before, {after[i]:.4g} after")
+def summary(updates: Sequence[CodeUpdate]) -> list[str]:
+    """A few lines about updates; medians over problems, so that each counts once."""
+    codes = [len(update.codes) for update in updates]
+    lines = [f"{len(updates)} problems, {sum(codes)} codes, {min(codes)} to {max(codes)} a problem"]
+    for what, last in (("codes", True), ("all that is sampled, goals included", False)):
+        g = {
+            when: [u.g(when)[: len(u.codes) if last else None] for u in updates]
+            for when in ("before", "after")
+        }
+        mean = {when: np.median([values.mean() for values in found]) for when, found in g.items()}
+        norm = {
+            when: np.median([np.median(np.sqrt(values)) for values in found]) for when, found in g.items()
+        }
+        lines.append(
+            f"{what}: mean F^T F {mean['before']:.3g} before, {mean['after']:.3g} after; "
+            f"median |F| {norm['before']:.3g} before, {norm['after']:.3g} after"
+        )
     return lines

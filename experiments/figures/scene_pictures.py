@@ -1,8 +1,8 @@
-"""Pictures of a scene with hands at drawn configurations over it, or with its cloud beside it."""
+"""Pictures of a scene with hands at drawn configurations over it or its cloud beside it, and the concept figure."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,17 +10,20 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.show.meshes import Viewpoint, poses_along
 from cvqmpt_lab.show.picture import still_image
-from experiments.figures.code_update import CodeUpdate
+from experiments.figures.code_update import COLOURS, CodeUpdate, draw_norms, squared_residual
 from experiments.figures.drawing import write_csv
 
 PICTURE = (900, 690)  # [pixels] width and height of the scene behind hands and beside clouds
 STICK = 0.09  # [m] length of the stick that shows which way a hand points up
 CLOSE = Viewpoint(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
+HANDS = 24  # drawn of each Gaussian
+START_COLOUR, GOAL_COLOUR = "#1a9850", "#3f3f46"
 NUMBERS = ("x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
 
 
@@ -41,43 +44,94 @@ class HandPoses(NamedTuple):
         return cls(q, T_world_hand[:, :3, 3], up, tilt)
 
 
-class HandsOfCode(NamedTuple):
-    """Hands at draws of a code's Gaussian, before or after the update."""
-
-    when: str
-    hands: HandPoses
-    g: np.ndarray  # F^T F there (s,)
-
-    @property
-    def panel(self) -> tuple[str, HandPoses]:
-        """Titled hands for `hand_figure`."""
-        tilt, g = np.degrees(np.median(self.hands.tilt)), self.g.mean()
-        return f"{self.when}: median tilt {tilt:.0f}°, mean $F^TF$ {g:.2f} rad$^2$", self.hands
-
-
-def hands_of_code(update: CodeUpdate, index: int, count: int = 120) -> list[HandsOfCode]:
-    """Hands at the first draws of a code, which is counted among the predicted, before and after the update."""
-    return [
-        HandsOfCode(
-            when, HandPoses.of(update.problem.robot, gaussians.draws(index, update.noise[:count])), g[:count]
-        )
-        for when, gaussians, g in (
-            ("before", update.before, update.g_before[index]),
-            ("after", update.after, update.g_after[index]),
-        )
-    ]
+def write_hands(update: CodeUpdate, path: Path) -> Path:
+    """Write a row for every hand that the concept figure shows."""
+    rows = []
+    for when in COLOURS:
+        for i in range(len(update.before.means)):
+            hands = HandPoses.of(update.problem.robot, update.draws(when, i)[:HANDS])
+            g = squared_residual(update.problem.manifold, hands.q)
+            code = int(update.codes[i]) if i < len(update.codes) else "goal"
+            rows += [
+                {
+                    "code": code,
+                    "when": when,
+                    "draw": k,
+                    **dict(zip(NUMBERS, map(float, numbers), strict=True)),
+                }
+                for k, numbers in enumerate(np.column_stack([hands.positions, hands.up, hands.tilt, g]))
+            ]
+    return write_csv(path, rows)
 
 
-def write_hands(code: int, sides: Sequence[HandsOfCode], path: Path) -> Path:
-    """Write a row for every hand."""
-    return write_csv(
-        path,
-        [
-            {"code": code, "when": when, "draw": i, **dict(zip(NUMBERS, map(float, numbers), strict=True))}
-            for when, hands, g in sides
-            for i, numbers in enumerate(np.column_stack([hands.positions, hands.up, hands.tilt, g]))
-        ],
+def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
+    """The paper's concept figure: what the model saw, what is sampled before and after, Gaussians near the manifold.
+
+    Above: scene, cloud, start and goals; hands at samples before and after. Below: histogram of |F|, and the Gaussians
+    as ellipses of one standard deviation in the plane of (way of the hand from start to goal, its lean); the line of no
+    lean is where F(q) = 0.
+    """
+    problem, every = update.problem, range(len(update.before.means))
+    start, *goals = (
+        poses_along(problem.robot, q[None])[1][0, :3, 3] for q in (problem.start, *_goals(update))
     )
+    figure = Figure(figsize=(14.4, 7.6), layout="constrained")
+    (scene, *pictures), (histogram, *planes) = figure.subplots(2, 3, height_ratios=(1.25, 1.0))
+    image = still_image(problem, problem.start, PICTURE, viewpoint)
+    both = 0.55 * image + 0.45 * still_image(problem, _goals(update)[0], PICTURE, viewpoint)
+    scene.imshow(both / 255.0)
+    x, y, _ = viewpoint.screen(update.cloud, image.shape[:2]).T
+    scene.scatter(x, y, s=0.8, color="#2166ac", alpha=0.6)
+    for points, colour, label in (([start], START_COLOUR, "start"), (goals, GOAL_COLOUR, "goals")):
+        x, y, _ = viewpoint.screen(np.array(points), image.shape[:2]).T
+        scene.scatter(x, y, s=45.0, color=colour, edgecolors="white", label=label, zorder=4)
+    scene.set(
+        title=f"cloud of {len(update.cloud)} points", xlim=(0, image.shape[1]), ylim=(image.shape[0], 0)
+    )
+    scene.legend(loc="lower right", fontsize="small")
+    norm = Normalize(0.0, 90.0)
+    titles = (f"{len(update.codes)} codes and {len(goals)} goals, as predicted", "after Algorithm 2")
+    for axes, when, title in zip(pictures, COLOURS, titles, strict=True):
+        q = np.concatenate([update.draws(when, i)[:HANDS] for i in every])
+        axes.imshow(0.45 * image / 255.0 + 0.55)
+        _draw_hands(axes, HandPoses.of(problem.robot, q), viewpoint, image.shape[:2], norm)
+        axes.set(title=title)
+    for axes in (scene, *pictures):
+        axes.axis("off")
+    colours = ScalarMappable(norm, "viridis_r")
+    figure.colorbar(colours, ax=pictures, label="tilt of the hand [deg]", extend="max", shrink=0.95, pad=0.01)
+    draw_norms(histogram, [update])
+    for axes, when in zip(planes, COLOURS, strict=True):
+        for i in every:
+            hands = HandPoses.of(problem.robot, update.draws(when, i))
+            _draw_ellipse(
+                axes, hands, start, goals[0], COLOURS[when] if i < len(update.codes) else GOAL_COLOUR
+            )
+        axes.axhline(0.0, color="black", linewidth=1.2)
+        axes.set(
+            title=f"Gaussians {when}, goals dashed", xlim=(-0.7, 2.0), ylim=(-120.0, 120.0),
+            xlabel="way of the hand: 0 start, 1 goal", ylabel="lean of the hand [deg]; $F(q)=0$ on the line",
+        )  # fmt: skip
+    return figure
+
+
+def _goals(update: CodeUpdate) -> np.ndarray:
+    """The goals (k, n) that have Gaussians, the first choice first [rad]."""
+    return update.before.means[len(update.codes) :]
+
+
+def _draw_ellipse(axes: Axes, hands: HandPoses, start: np.ndarray, goal: np.ndarray, colour: str) -> None:
+    """One standard deviation of hands in (share of the way from start to goal, lean towards the robot's x axis)."""
+    way = (hands.positions - start) @ (goal - start) / np.square(goal - start).sum()
+    points = np.column_stack([way, np.degrees(np.arctan2(hands.up[:, 0], hands.up[:, 2]))])
+    values, vectors = np.linalg.eigh(np.cov(points.T))
+    width, height = 2.0 * np.sqrt(values)
+    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    middle, is_goal = points.mean(axis=0), colour == GOAL_COLOUR
+    shared: dict[str, Any] = {"angle": angle, "color": colour, "linestyle": "--" if is_goal else "-"}
+    axes.add_patch(Ellipse(tuple(middle), width, height, fill=False, linewidth=1.2, **shared))
+    axes.add_patch(Ellipse(tuple(middle), width, height, alpha=0.0 if is_goal else 0.14, **shared))
+    axes.plot(*middle, "o", color=colour, markersize=4.0)
 
 
 def hand_figure(

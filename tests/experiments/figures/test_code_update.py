@@ -1,4 +1,4 @@
-"""The update's figures: numbers of the codes that it moves, the Markov bound, the command."""
+"""The update's figures: what they draw is what the planners sample; numbers, pictures, the command."""
 
 import csv
 import json
@@ -10,23 +10,24 @@ from small_models import random_checkpoint
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.stages import codebook_of
 from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import scene_pictures
 from experiments.figures.code_update import (
-    FAR,
-    NEAR,
-    THRESHOLDS,
-    Histogram,
-    MarkovTail,
     UpdateSettings,
-    code_changes,
     histogram_figure,
+    histogram_rows,
+    squared_residual,
     update_codes,
 )
 from experiments.figures.drawing import figure_bytes
-from experiments.figures.scene_pictures import HandPoses, hands_of_code
+from experiments.figures.scene_pictures import HandPoses
+from paper_tables.claims import Evidence, _updated
 
 SETTINGS = UpdateSettings(samples=300)
 
@@ -44,52 +45,56 @@ def update(problem):
     return update_codes(problem, None, SETTINGS)
 
 
-def test_markov_bound_by_hand_and_where_it_is_reached():
-    """With all of the mean at k itself the inequality is an equality."""
-    markov = MarkovTail.of(np.array([0.0, 1.0, 2.0, 5.0]), (0.5, 1.0, 2.0, 4.0, 8.0))
-    np.testing.assert_array_equal(markov.tail, (0.75, 0.75, 0.5, 0.25, 0.0))
-    np.testing.assert_array_equal(markov.bound, (4.0, 2.0, 1.0, 0.5, 0.25))
-    markov = MarkovTail.of(np.array([0.0, 0.0, 0.0, 4.0]), (4.0,))
-    assert markov.tail == markov.bound == 0.25
-
-
-def test_histogram_by_hand():
-    before, after = np.array([0.0, 0.4, 1.0, 1.9, 100.0]), np.array([0.0, 0.1] + [2.0] * 600)
-    histogram = Histogram.of(before, after, bins=4)
-    np.testing.assert_allclose(histogram.edges, (0.0, 0.5, 1.0, 1.5, 2.0, 100.0))
-    np.testing.assert_array_equal(histogram.before, (2, 0, 1, 1, 1))
-    np.testing.assert_array_equal(histogram.after, (2, 0, 0, 0, 600))
-    assert histogram.beyond == 1
-
-
 @pytest.mark.parametrize(
-    ("make", "given", "said"),
-    [
-        *((lambda v: Histogram.of(v, v), [v], "finite values from 0") for v in ([], [-1.0], [np.nan], [np.inf])),
-        (MarkovTail.of, [[], (1.0,)], "Markov bound"),
-        (MarkovTail.of, [[1.0], (0.0,)], "Markov bound"),
-        (MarkovTail.of, [[1.0], (-1.0, 2.0)], "Markov bound"),
-        (lambda samples: UpdateSettings(samples=samples), [0], "samples of the update 0: give"),
-        (lambda seed: UpdateSettings(seed=seed), [-1], "seed of the update -1: give"),
-    ],
-)  # fmt: skip
-def test_bad_numbers_are_refused(make, given, said):
+    ("given", "said"), [({"samples": 0}, "samples of the"), ({"seed": -1}, "seed of the")]
+)
+def test_bad_numbers_are_refused(given, said):
     with pytest.raises(InvalidInputError, match=said):
-        make(*given)
+        UpdateSettings(**given)
 
 
-def test_the_update_is_algorithm_2_from_the_dictionarys_own_gaussians(problem, update):
-    codebook = codebook_of("vq_mpt", problem.robot)
+@pytest.mark.parametrize(("when", "planner"), [("before", "cvq-mpt"), ("after", "opt-cvq-mpt")])
+def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
+    stages, rng = planner_named(planner).stages(update.problem), np.random.SeedSequence(0).spawn(1)[0]
+    query = Query.of(ConstrainedSpace(update.problem), Budget(seconds=60.0), np.random.default_rng(rng))
+    proposal = stages.predict(query, Observation(update.cloud))
+    if stages.update is not None:
+        proposal = stages.update(query, proposal)
+    np.testing.assert_array_equal(getattr(update, when).means, proposal.distribution.means)
+    np.testing.assert_array_equal(getattr(update, when).covariances, proposal.distribution.covariances)
+    sampled = proposal.distribution.sample(np.random.default_rng(1), 20_000)
+    drawn = np.concatenate([update.draws(when, i) for i in range(len(update.before.means))])
+    g = [squared_residual(update.problem.manifold, q).mean() for q in (sampled, drawn)]
+    assert g[1] == pytest.approx(g[0], rel=0.1)
+
+
+def test_codes_are_the_decoders_and_move_towards_the_constraint_goals_do_not(problem, update):
+    codebook, c = codebook_of("vq_mpt", problem.robot), len(update.codes)
     means, covariances = codebook.gaussians(codebook.vectors[update.codes])
-    np.testing.assert_array_equal(update.before.means, means)
-    scales = update.before.scales
-    np.testing.assert_allclose(scales @ scales.swapaxes(1, 2), covariances, atol=1e-6)
-    assert (~update.kept).any() and update.g_after.mean() < 0.8 * update.g_before.mean()
-    assert update.centre_after.mean() < 0.5 * update.centre_before.mean()
+    np.testing.assert_array_equal(update.before.means[:c], means)
+    np.testing.assert_allclose(update.before.covariances[:c], covariances, atol=1e-6)
+    np.testing.assert_array_equal(update.before.means[c:], update.after.means[c:])
+    assert update.g("after")[:c].mean() < 0.8 * update.g("before")[:c].mean()
+
+
+def test_rows_and_bins_count_every_draw(update):
+    rows, bins = update.rows(), histogram_rows([update, update])
+    assert [row["code"] for row in rows] == [*update.codes, *["goal"] * (len(rows) - len(update.codes))]
+    for what, gaussians in (("codes", len(update.codes)), ("all", len(rows))):
+        for when in ("before", "after"):
+            assert sum(row[when] for row in bins if row["of"] == what) == 2 * gaussians * SETTINGS.samples
+    near = [np.sqrt(update.g("after")) < row["to"] for row in bins[:1]]
+    assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
+
+
+def test_a_problem_counts_once_in_the_claim(tmp_path):
+    lines = ["problem,code,g_before,g_after", "a,1,4,1", "a,2,4,4", "a,goal,1,100", "b,3,1,0.5"]
+    (tmp_path / "values.csv").write_text("\n".join(lines))
+    assert _updated(Evidence(tmp_path, [], {})).ours[::3] == (pytest.approx(0.5), 2)
 
 
 def test_hands_by_another_kinematics(update, problem):
-    after = hands_of_code(update, 1, count=20)[1].hands
+    after = HandPoses.of(problem.robot, update.draws("after", 1)[:20])
     for i, q in enumerate(after.q):
         T = problem.robot.pose(q)
         np.testing.assert_allclose(after.positions[i], T[:3, 3], atol=1e-9)
@@ -99,18 +104,13 @@ def test_hands_by_another_kinematics(update, problem):
 
 
 def test_figures_repeat_byte_for_byte(update):
-    first, again = (figure_bytes(histogram_figure(code_changes(update)), "svg") for _ in range(2))
+    first, again = (figure_bytes(histogram_figure([update]), "svg") for _ in range(2))
     assert first == again and b"<svg" in first
-
-
-@pytest.fixture
-def small_pictures(monkeypatch):
-    monkeypatch.setattr(scene_pictures, "PICTURE", (180, 138))
 
 
 def test_no_codes_is_said(problem, panda, tmp_path):
     save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
-    with pytest.raises(InvalidInputError, match="predicted 0 codes"):
+    with pytest.raises(InvalidInputError, match="predicted no codes"):
         update_codes(problem.with_goals(problem.goals[:1]), str(tmp_path / "silent"), SETTINGS)
 
 
@@ -121,28 +121,25 @@ def rows_of(path):
 
 def test_the_command_writes_the_histogram(tmp_path, model, capsys):
     out = tmp_path / "histogram"
-    words = ["figure", "histogram", "--problem", "1", "--model", str(model), "--out", str(out)]
+    words = ["figure", "histogram", "--problems", "2", "--model", str(model), "--out", str(out)]
     assert main(words) == 0
-    pictures, tables = ("histogram.png", "histogram.svg"), ("histogram.csv", "values.csv", "markov.csv")
-    assert {path.name for path in out.iterdir()} == {*pictures, *tables, "provenance.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "histogram.png", "histogram.svg", "histogram.csv", "values.csv", "provenance.json"
+    }  # fmt: skip
     assert ET.parse(out / "histogram.svg").getroot().tag.endswith("svg")
-    for role in (FAR, NEAR):
-        bins = [row for row in rows_of(out / "histogram.csv") if row["role"] == role]
-        assert sum(int(row["before"]) for row in bins) == sum(int(row["after"]) for row in bins) == 2000
-    tails = rows_of(out / "markov.csv")
-    assert len(tails) == 4 * len(THRESHOLDS)
-    assert all(float(row["tail"]) <= float(row["bound"]) * (1.0 + 1e-5) for row in tails)
+    assert {row["problem"] for row in rows_of(out / "values.csv")} == {"0", "1"}
     record = json.loads((out / "provenance.json").read_text())
     assert record["weights"] == {"vq_mpt": weights_digest(model)} and record["seeds"] == [0]
     assert main([*words, "--seed", "1"]) == 2  # another configuration
     assert "update.seed was 0, now 1" in capsys.readouterr().err
 
 
-def test_the_command_writes_the_concept_figure(tmp_path, model, small_pictures):
+def test_the_command_writes_the_concept_figure(tmp_path, model, monkeypatch):
+    monkeypatch.setattr(scene_pictures, "PICTURE", (180, 138))
     out = tmp_path / "concept"
     assert main(["figure", "concept", "--model", str(model), "--out", str(out)]) == 0
     rows = rows_of(out / "concept.csv")
-    assert [row["when"] for row in rows] == ["before"] * 120 + ["after"] * 120
+    assert {row["when"] for row in rows} == {"before", "after"} and rows[-1]["code"] == "goal"
     for row in rows:
         assert np.cos(float(row["tilt_rad"])) == pytest.approx(float(row["up_z"]), abs=1e-4)
 
@@ -160,7 +157,7 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
         (["histogram", "--planners", "birrt"], "unknown arguments: --planners birrt"),
         (["pie"], "unknown figure 'pie'; valid choices: histogram, concept"),
         (["histogram", "--seed", "-1"], "seed of the update -1: give"),
-        (["histogram", "--problem", "150"], "unknown problem 150"),
+        (["concept", "--problem", "150"], "unknown problem 150"),
         (["histogram", "--model", "/nowhere"], "/nowhere"),
     ],
 )
