@@ -14,6 +14,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.named_states import group_states, numbers_of
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
@@ -83,8 +84,9 @@ def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
 
 
 def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
-    """A configuration (n,) of the robot."""
-    return np.array(numbers(option, text, robot.joint_names))
+    """A configuration (n,) of the robot: numbers, or the name of a group_state of its SRDF."""
+    named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
+    return np.array(numbers_of(robot, named, option))
 
 
 def pose_region(option: str, text: str) -> TaskSpaceRegion:

@@ -1,16 +1,23 @@
-"""A problem to start from: robot, box, constraint, start and goal, with comments that say what else there is."""
+"""A problem to start from: a table, an obstacle in the way, a constraint, start and goal, with comments."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec.json_schema import FOLDER
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.named import upper_axis
-from cvqmpt_lab.constraints.task_space_region import ROWS_TEXT, RegionConstraint, upright
+from cvqmpt_lab.constraints.no_goal import hand_reach
+from cvqmpt_lab.constraints.task_space_region import (
+    FREE,
+    ROWS_TEXT,
+    RegionConstraint,
+    TaskSpaceRegion,
+    upright,
+)
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
@@ -20,14 +27,18 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
+SCHEMA_FILE = "problem.schema.json"  # written beside the problem, so that both can be moved
 TILT = 0.3  # [rad]
-DRAWS = 2000  # configurations tried for a start and a goal
-APART = 0.3  # share of the robot's reach that start and goal are apart at least
+DRAWS = 400  # configurations tried for a start, and for a goal
+STARTS, PAIRS = 12, 30  # the calmest, and of them with goals, that are tried
+APART = 0.3  # share of the hand's reach that start and goal are apart at least
 EFFORT = Budget(iterations=1000)  # of birrt, that a pair of them may take
 COMMENT = [
     "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment may stand anywhere.",
-    "More configurations: `cvqmpt ik`. A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
+    "start: numbers, {joint: value} or the name of a group_state of the SRDF; more configurations: `cvqmpt ik`.",
+    "A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
     "Other fields: attachments (what the hand carries), goals (configurations, used as they are), start_region.",
 ]
 SHAPES = [
@@ -40,30 +51,98 @@ REGIONS = [
 ]
 
 
+class Layout(NamedTuple):
+    """Where things stand, from the first joint on, in shares of the hand's reach; heights above the table."""
+
+    table: tuple[float, float, float, float]  # from x, to x, half width, thickness
+    wall: tuple[float, float, float, float]  # its x, edges along x and y, height
+    hand: tuple[float, float, float]  # x, y to both sides, height
+    room: float  # of the hand around that, to all sides
+
+
+LAYOUTS = (
+    Layout((0.3, 1.0, 0.8, 0.05), (0.5, 0.4, 0.06, 0.45), (0.5, 0.4, 0.32), 0.12),
+    Layout((0.3, 1.0, 0.8, 0.05), (0.6, 0.3, 0.06, 0.3), (0.55, 0.35, 0.25), 0.25),
+    Layout((0.2, 1.0, 0.8, 0.05), (0.6, 0.1, 0.06, 0.2), (0.5, 0.3, 0.3), 0.5),
+    Layout(
+        (0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0
+    ),  # a post; anywhere beside it
+)
+
+
 def template(source: Mapping[str, Any]) -> dict[str, Any]:
     """Json of a problem that can be planned, for a robot as in a problem file; InvalidInputError if there is none."""
     robot = robot_from_source(source)
-    size, away = round(0.1 * robot.reach, 3), round(0.6 * robot.reach, 3)
-    axis = upper_axis(robot.pose(0.5 * (robot.lower + robot.upper)))
-    scene = Scene("room", (SceneObject("box", Box((size, size, size)), pose((away, 0.0, size))),))
-    box = {"_comment": SHAPES, "name": "box", "shape": {"type": "box", "size": [size] * 3}}
-    plain = {
-        "$schema": (FOLDER / "problem.schema.json").as_uri(),
+    plain: dict[str, Any] = {
+        "$schema": SCHEMA_FILE,
         "schema": PlanningProblem.SCHEMA,
         "_comment": COMMENT,
         "name": "mine",
         "robot": dict(source),
-        "scene": {"name": "room", "objects": [{**box, "T_world_object": {"xyz": [away, 0.0, size]}}]},
-        "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
     }
-    for start, goal in _ends(robot, scene, RegionConstraint(robot, (upright(TILT / 2, axis),))):
-        problem = {**plain, "start": start.tolist(), **_goal(robot, goal)}
-        if solve(PlanningProblem.from_dict(problem), "birrt", EFFORT, seed=0, clearance=False).solved:
-            return problem
+    for layout in LAYOUTS:
+        for axis in _axes(robot):
+            top, scene = _scene(robot, layout)
+            said = {
+                **plain,
+                "scene": _commented(scene),
+                "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
+            }
+            for start, goal in _ends(robot, scene, layout, top, axis):
+                joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
+                made = {**said, "start": joints, **_goal(robot, goal)}
+                if _solved(PlanningProblem.from_dict(made), matters=layout is not LAYOUTS[-1]):
+                    return made
     raise InvalidInputError(
         f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt and can be planned; "
         "write a problem by hand, `cvqmpt problems new` for the panda shows how"
     )
+
+
+def _solved(problem: PlanningProblem, matters: bool) -> bool:
+    """Whether a path is found, and, where the obstacle must matter, not by a straight motion to its goal."""
+    solution = solve(problem, "birrt", EFFORT, seed=0, clearance=False)
+    if not solution.solved or solution.simplified is None:
+        return False
+    goal = solution.simplified.path.states[-1]
+    return not matters or direct_motion(ConstrainedSpace(solution.problem), problem.start, goal) is None
+
+
+def _axes(robot: Robot) -> list[str]:
+    """Axes of the end effector that may point up: that with which the tool looks down the last axis, then any."""
+    _, T_link_hand = robot.end_effector_link
+    outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
+    down = np.eye(4)
+    down[2, :3] = -outward
+    return list(dict.fromkeys((upper_axis(down), upper_axis(robot.pose(0.5 * (robot.lower + robot.upper))))))
+
+
+def _scene(robot: Robot, layout: Layout) -> tuple[float, Scene]:
+    """The table's height [m], and the table with a wall on it."""
+    reach, (x, y, z) = hand_reach(robot), robot.kinematics.translation[0]
+    top = 0.0 if 0.0 <= z <= 0.6 * reach else z - 0.35 * reach
+    begin, end, half, thick = (reach * share for share in layout.table)
+    at, *size = (reach * share for share in layout.wall)
+    table = _box("table", (end - begin, 2.0 * half, thick), (x + 0.5 * (begin + end), y, top - 0.5 * thick))
+    return top, Scene("room", (table, _box("wall", tuple(size), (x + at, y, top + 0.5 * size[2]))))
+
+
+def _box(name: str, size: Any, xyz: tuple[float, float, float]) -> SceneObject:
+    a, b, c = (round(float(edge), 3) for edge in size)
+    return SceneObject(name, Box((a, b, c)), pose(np.round(xyz, 3)))
+
+
+def _commented(scene: Scene) -> dict[str, Any]:
+    """Json of the scene; the first object says which shapes there are."""
+    objects = [
+        {
+            "name": item.name,
+            "shape": {"type": "box", "size": list(item.shape.size)},  # type: ignore[union-attr]
+            "T_world_object": {"xyz": item.T_world_object[:3, 3].tolist()},
+        }
+        for item in scene
+    ]
+    return {"name": scene.name, "objects": [{"_comment": SHAPES, **objects[0]}, *objects[1:]]}
 
 
 def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
@@ -76,19 +155,45 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
     return {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
 
 
-def _ends(robot: Robot, scene: Scene, manifold: RegionConstraint) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of configurations (n,) free of collision on the manifold, the end effector well apart."""
-    checker, rng = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN), np.random.default_rng(0)
-    first = None
-    for q in robot.random_configurations(rng, DRAWS):
-        landed = manifold.project(q)
+def _ends(
+    robot: Robot, scene: Scene, layout: Layout, top: float, axis: str
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of free configurations (n,) on the manifold, on both sides of the wall, the calmest first."""
+    checker, reach, origin = (
+        CollisionChecker(robot, scene, margin=SAMPLE_MARGIN),
+        hand_reach(robot),
+        robot.kinematics.translation[0],
+    )
+    x, y, z = (reach * share for share in layout.hand)
+    sides = []
+    for side in (-1.0, 1.0):
+        place = pose((origin[0] + x, origin[1] + side * y, top + z))
+        bounds = np.array([[-layout.room * reach, layout.room * reach]] * 3 + [[-FREE, FREE]] * 3)
+        region = TaskSpaceRegion(place, np.eye(4), bounds)
+        manifold = RegionConstraint(robot, (upright(TILT / 2, axis), region))
+        sides.append(_calmest(robot, manifold, checker))
+    pairs = ((start, goal) for start in sides[0][:STARTS] for goal in sides[1])
+    yield from islice((pair for pair in pairs if _apart(robot, *pair) > APART * reach), PAIRS)
+
+
+def _apart(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
+    """Distance [m] between the hand's places."""
+    return float(np.linalg.norm((robot.pose(start) - robot.pose(goal))[:3, 3]))
+
+
+def _calmest(robot: Robot, manifold: RegionConstraint, checker: CollisionChecker) -> list[np.ndarray]:
+    """Free configurations (n,) on a manifold, those with joints nearest to the middle of their range first."""
+    middle = (
+        np.clip(0.0, robot.lower, robot.upper)
+        if (robot.upper - robot.lower > 2.0 * np.pi).any()
+        else 0.5 * (robot.lower + robot.upper)
+    )
+    found = []
+    for q in robot.random_configurations(np.random.default_rng(0), DRAWS):
+        landed = manifold.project(middle + 0.5 * (q - middle))
         if landed is None:
             continue
         landed = landed.round(4).clip(robot.lower, robot.upper)
-        if checker.in_collision(landed):
-            continue
-        if first is None:
-            first = landed
-        elif np.linalg.norm((robot.pose(landed) - robot.pose(first))[:3, 3]) > APART * robot.reach:
-            yield first, landed
-            first = None
+        if not checker.in_collision(landed):
+            found.append(landed)
+    return sorted(found, key=lambda q: float(np.linalg.norm(q - middle)))

@@ -5,11 +5,14 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from cli.options import ProgressBar, positive_int, writable_file
+from cli.robot_options import add_robot, robot_source
+from cvqmpt_lab.codec.json_schema import FOLDER
 from cvqmpt_lab.codec.plain import to_text
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.files import make_folder, write_text
+from cvqmpt_lab.files import make_folder, read_text, write_text
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor_task import SensedProblem
@@ -31,14 +34,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--problems", type=positive_int, metavar="N", help="only the first N (all)")
     add("--out", type=Path, metavar="DIR", help="folder for the json files (with export)")
     add("--goals", action="store_true", help="write sampled goals beside the goal region (with export)")
-    add("--robot", metavar="NAME", help="robot of the new problem (panda)")
+    add_robot(parser, "robot of the new problem (the panda)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Build each problem; print a line or write a file."""
     if args.action not in ACTIONS:
         raise UnknownChoiceError("action", args.action, ACTIONS)
-    goes_with = {"problems": "list or export", "out": "export", "goals": "export", "robot": "new"}
+    goes_with = {
+        "problems": "list or export",
+        "out": "export",
+        "goals": "export",
+        "robot": "new",
+        "urdf": "new",
+    }
     for option, action in goes_with.items():
         if getattr(args, option) and args.action not in action:
             raise InvalidInputError(f"--{option} goes with {action}, not with {args.action}")
@@ -49,10 +58,15 @@ def _new(args: argparse.Namespace) -> int:
     path = Path(args.what)
     if path.exists():
         raise InvalidInputError(f"{path} is there already; name another file")
-    from cli.problem_template import template
+    from cli.problem_template import SCHEMA_FILE, template
 
-    write_text(writable_file(path), to_text(template({"name": args.robot or "panda"})) + "\n")
-    print(f"{path} written; plan it with: cvqmpt plan --problem-file {path}")
+    if args.urdf is not None and args.end_effector is None:
+        args.end_effector = read_urdf(args.urdf).likely_end_effectors[0]
+        print(f"end effector {args.end_effector}, a guess; --end-effector names another")
+    text = to_text(template(robot_source(args) or {"name": "panda"})) + "\n"
+    write_text(writable_file(path), text)
+    write_text(path.parent / SCHEMA_FILE, read_text(FOLDER / SCHEMA_FILE))
+    print(f"{path} written, and {SCHEMA_FILE} for editors; plan it with: cvqmpt plan --problem-file {path}")
     return 0
 
 

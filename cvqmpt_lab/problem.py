@@ -11,15 +11,15 @@ Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors: `schemas/p
      "constraint": {"upright": 0.1}, or a list of such and of full regions
                    {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free},
                    with "base" a frame of the robot, T0_w is the pose of w in that frame,
-     "start": [n numbers]  or  "start_region": region,
-     "goals": [[n numbers], ...]  and / or  "goal_region": region}
+     "start": configuration  or  "start_region": region,
+     "goals": [configuration, ...]  and / or  "goal_region": region}
 
-A pose is {"xyz", "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn from the goal region only if no
-goals are given.
+A configuration is n numbers, {"joint": value} or the name of a group_state in the robot's SRDF. A pose is {"xyz",
+"rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn from the goal region only if no goals are given.
 """
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -27,7 +27,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import TURN, Array, FloatArray, Name, OneOrMore, Schema
+from cvqmpt_lab.codec.forms import TURN, FloatArray, Name, OneOrMore, Schema
 from cvqmpt_lab.codec.plain import Document, mapping, unique
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
@@ -38,8 +38,10 @@ from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.mechanism import ArticulatedObject
+from cvqmpt_lab.robot.named_states import StateForm, StatesForm, numbers_of
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import seen_from
+from cvqmpt_lab.robot.source import ARTICULATED, NamedRobot, UrdfRobot, seen_from
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
@@ -62,11 +64,15 @@ class RobotForm:
         return value.source
 
     def schema(self, of: Schema) -> dict[str, Any]:
-        """An object; `robot.loading` knows its fields."""
-        return {"type": "object", "anyOf": [{"required": ["name"]}, {"required": ["urdf", "end_effector"]}]}
+        """An arm by name, or a URDF; either with an articulated object."""
+        door = {"anyOf": [{"type": "null"}, of(ArticulatedObject)]}
+        kinds = [of(NamedRobot), of(UrdfRobot)]
+        return {
+            "anyOf": [{**kind, "properties": {**kind["properties"], ARTICULATED: door}} for kind in kinds]
+        }
 
 
-class GoalsForm(Array):
+class GoalsForm(StatesForm):
     """Configurations, perhaps none."""
 
     def read(self, value: Any, where: str) -> FloatArray:
@@ -83,7 +89,7 @@ class PlanningProblem(Document, Pictured):
     name: Name  # What it is called in results
     robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
     scene: NamedScene  # What it must not touch
-    start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")] = field(
+    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty(0)
     )
     """(n,) [rad or m], drawn from `start_region` if empty."""
@@ -131,8 +137,11 @@ class PlanningProblem(Document, Pictured):
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; refuses lengths that cannot be metres, logs a warning when nothing is within reach."""
-        problem = super().from_dict(data)
+        """Inverse of `to_dict`; a start or goal may be {"joint": value} or the name of a group_state of the SRDF.
+
+        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within reach.
+        """
+        problem = super().from_dict(_with_numbers(data))
         refuse_far(problem.scene)
         regions = {f"constraint[{k}]": region for k, region in enumerate(problem.constraint)}
         if problem.goal_region is not None:
@@ -213,6 +222,20 @@ class PlanningProblem(Document, Pictured):
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """The exact checker of this problem's world; distances below margin [m] are collisions."""
         return shared_checker(self.robot, self.scene, self.attachments, margin)
+
+
+def _with_numbers(data: Any) -> Any:
+    """Json of a problem in which configurations by joint, or by the name of a group_state, are numbers."""
+    if not isinstance(data, Mapping):
+        return data
+    start, goals = data.get("start"), data.get("goals")
+    several = goals if isinstance(goals, list) else []
+    if not any(isinstance(q, str | Mapping) for q in (start, *several)):
+        return data
+    robot = RobotForm().read(data.get("robot"), "robot")
+    read = {"start": numbers_of(robot, start, "start")} if start is not None else {}
+    read |= {"goals": [numbers_of(robot, q, f"goals[{k}]") for k, q in enumerate(several)]} if several else {}
+    return {**data, "robot": robot, **read}
 
 
 class _ThreadCheckers(threading.local):

@@ -14,6 +14,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.robot.named_states import group_states
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, shape_vertices
 from experiments.suites.place_task import place_problem
@@ -230,3 +231,18 @@ def test_millimetres_and_degrees_are_suspected(data, caplog):
     )
     PlanningProblem.from_dict(changed(own, "scene.objects.0.T_world_object.xyz", [6, 0, 3]))
     assert "the arm can touch nothing of it: 'shelf' is nearest, 6" in caplog.text
+
+
+def test_configurations_by_joint_and_by_the_srdf(problem):
+    plain, names = problem.to_dict(), problem.robot.joint_names
+    values = dict(zip(names, problem.start.tolist(), strict=True))
+    backwards = dict(reversed(values.items()))
+    found = PlanningProblem.from_dict({**plain, "start": backwards, "goals": [backwards, "default"]})
+    np.testing.assert_array_equal(found.start, problem.start)
+    np.testing.assert_array_equal(found.goals[0], problem.start)
+    np.testing.assert_array_equal(
+        found.goals[1], [group_states(problem.robot)["default"][name] for name in names]
+    )
+    refused("unknown group_state of start 'redy'; valid choices: default", {**plain, "start": "redy"})
+    refused("unknown joint of start 'joint1'.*did you mean", {**plain, "start": {**values, "joint1": 0.0}})
+    refused("start has no value for panda_joint7; give", {**plain, "start": dict(list(values.items())[:6])})

@@ -92,7 +92,8 @@ def _notes(kind: type) -> dict[str, str]:
         lines, body = source.splitlines(), ast.parse(source).body[0].body  # type: ignore[attr-defined]
         for field, below in pairwise([*body, None]):
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-                note = lines[(field.end_lineno or 0) - 1].partition("  # ")[2]
+                of_field = lines[field.lineno - 1 : field.end_lineno]
+                note = next((line.partition("  # ")[2] for line in of_field if "  # " in line), "")
                 match below:
                     case ast.Expr(value=ast.Constant(value=str(text))):
                         note = " ".join(text.split())

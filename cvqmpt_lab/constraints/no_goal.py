@@ -43,8 +43,7 @@ def why_none(
 
 def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
     """How far poses (k, 4, 4) without inverse kinematics are, and how far the hand reaches."""
-    axis = robot.kinematics.translation[0]
-    reach = _farthest(robot, axis, rng)
+    axis, reach = robot.kinematics.translation[0], hand_reach(robot)
     away = np.linalg.norm(T[:, :3, 3] - axis, axis=1)
     if away.min() > reach:
         return (
@@ -59,8 +58,9 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
     return f"they lie {near}, but the joint limits do not let it get there"
 
 
-def _farthest(robot: Robot, axis: np.ndarray, rng: np.random.Generator) -> float:
-    """Distance [m] from a point (3,) that the hand gets to: of random configurations, and better ones near the best."""
+def hand_reach(robot: Robot) -> float:
+    """Distance [m] from the first joint that the hand gets to, in random configurations and around the best one."""
+    axis, rng = robot.kinematics.translation[0], np.random.default_rng(0)
     configurations, best, reach = robot.random_configurations(rng, HANDS), robot.lower, 0.0
     for spread in SPREADS:
         away = np.linalg.norm(robot.poses(configurations)[:, :3, 3] - axis, axis=1)

@@ -84,7 +84,7 @@ class Urdf:
 
     @property
     def likely_end_effectors(self) -> list[str]:
-        """Links at the ends of the chains with the most joints, the hand rather than its fingers."""
+        """Links at the ends of the chains with the most joints: tool frames first, the hand rather than its fingers."""
         stands_on = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
         parents = {joint.parent for joint in self.joints.values()}
         joints_before: dict[str, int] = {}
@@ -98,7 +98,8 @@ class Urdf:
             if end == leaf:
                 joints_before[leaf] = moved
         most = max(joints_before.values(), default=0)
-        return [link for link, count in joints_before.items() if count == most]
+        likely = [link for link, count in joints_before.items() if count == most]
+        return sorted(likely, key=lambda link: not re.search("tool|tcp", link, re.IGNORECASE))
 
 
 def read_urdf(path: Path) -> Urdf:

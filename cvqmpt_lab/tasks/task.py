@@ -21,13 +21,14 @@ from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Array, FloatArray, Name, OneOrMore, Tagged
-from cvqmpt_lab.codec.plain import Checked, Document, located, unique
+from cvqmpt_lab.codec.forms import FloatArray, Name, OneOrMore, Tagged
+from cvqmpt_lab.codec.plain import Checked, Document, located, mapping, unique
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.named_states import StateForm, numbers_of
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
 from cvqmpt_lab.scene.scene_files import with_files_read
@@ -126,7 +127,7 @@ class Task(Document, Pictured):
     name: Name  # What it is called in results
     robot: Mapping[str, Any]  # What a problem file says of it
     scene: NamedScene  # At the beginning
-    start: Annotated[FloatArray, Array((None,), "numbers [rad or m]")]  # (n,) [rad or m]
+    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")]  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In their order
 
     def __repr__(self) -> str:
@@ -154,7 +155,13 @@ class Task(Document, Pictured):
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; refuses lengths that cannot be metres, logs a warning when nothing is within reach."""
+        """Inverse of `to_dict`; the start may be {"joint": value} or the name of a group_state of the SRDF.
+
+        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within reach.
+        """
+        if isinstance(data, Mapping) and isinstance(data.get("start"), str | Mapping):
+            robot = robot_from_source(mapping(data.get("robot"), "robot"))
+            data = {**data, "start": numbers_of(robot, data["start"], "start")}
         task = super().from_dict(data)
         refuse_far(task.scene)
         report_out_of_reach(task.scene, robot_from_source(task.robot).reach)

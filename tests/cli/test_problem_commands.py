@@ -1,14 +1,19 @@
 """`cvqmpt problems` and `cvqmpt ik`: files to start from, files of suites, configurations for them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import refused
+from jsonschema import Draft202012Validator
 
 from cli.main import main
 from cli.problem_template import template
+from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.robot.source import read_source
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 
 @pytest.fixture
@@ -23,6 +28,25 @@ def mine(tmp_path, capsys):
 @pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
 def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
     check_problem(PlanningProblem.from_dict(template({"name": robot})))
+
+
+def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, capsys):
+    """A UR10 started with a joint at 4.98 rad, in the air; the box stood beside its way."""
+    urdf, path = read_source({"name": "ur10"}).urdf, tmp_path / "new" / "mine.json"
+    path.parent.mkdir()
+    assert main(["problems", "new", str(path), "--urdf", urdf]) == 0
+    assert "end effector tool0, a guess" in capsys.readouterr().out
+    data = json.loads(path.read_text())
+    assert set(data["start"]) == set(PlanningProblem.load(path).robot.joint_names)
+    assert max(map(abs, data["start"].values())) < np.pi
+    validator = Draft202012Validator(json.loads((path.parent / data["$schema"]).read_text()))
+    assert list(validator.iter_errors(data)) == []
+    assert list(validator.iter_errors({**data, "robot": {"urdf": "a.urdf", "end_efector": "tool0"}}))
+    problem = with_sampled_goals(PlanningProblem.load(path))[0]
+    space = ConstrainedSpace(problem)
+    assert all(direct_motion(space, problem.start, goal) is None for goal in problem.goals[1::2])
+    empty = ConstrainedSpace(replace(problem, scene=problem.scene.without("wall")))
+    assert any(direct_motion(empty, problem.start, goal) is not None for goal in problem.goals)
 
 
 def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path):
