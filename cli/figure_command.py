@@ -14,6 +14,7 @@ EXAMPLES = (
     "cvqmpt figure histogram --problems 30 --out runs/histogram",
     "cvqmpt figure concept --problem 7 --model runs/stage2/model --out runs/concept",
     "cvqmpt figure cost --out runs/place-task",
+    "cvqmpt figure training --out runs",
     f"cvqmpt figure {NAME} --problems 30 --out runs/{NAME}",
 )
 
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--problems", type=positive_int, default=30, metavar="N", help=first)
     add_model(parser)
     add("--seed", type=int, default=0, metavar="S", help="seed of all randomness (0)")
-    add("--out", type=Path, metavar="DIR", help="where results go (runs/FIGURE), or rows are")
+    add("--out", type=Path, metavar="DIR", help="where results go (runs/FIGURE), or rows or trainings are")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -215,6 +215,7 @@ def _published() -> Profile:
     crop = CropSettings(kind="box")
     cloud = CloudSettings(points=2048, crop=crop, noise=0.0, occlusion=1.0, density=0.0)
     batches = SceneBatchSettings(scenes=16, paths_per_scene=2, cloud=cloud)
+    warmed = OptimizerSettings(rate=0.15 * 512**-0.5 * 2400**-0.5, warmup=2400)
     return Profile(
         name="published",
         link_features=False,
@@ -223,11 +224,8 @@ def _published() -> Profile:
         stage1=Stage1Settings(
             epochs=50, batch=64, optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000)
         ),
-        stage2=Stage2Settings(
-            epochs=20,
-            batches=batches,
-            optimizer=OptimizerSettings(rate=0.15 * 512**-0.5 * 2400**-0.5, warmup=2400),
-        ),
+        stage2=Stage2Settings(epochs=20, batches=batches, optimizer=warmed),
+        published=RoadmapSettings(optimizer=warmed),
         mpnet=MPNetSettings(
             epochs=200,
             batches=replace(batches, spacing=0.5, cloud=replace(cloud, points=4120)),

@@ -23,6 +23,7 @@ from experiments.figures.drawing import save_figure
 from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
 from experiments.figures.row_figures import draw_cost, draw_difficulty, draw_robustness
 from experiments.figures.scene_pictures import concept_figure, write_hands
+from experiments.figures.training_curves import draw_training
 from experiments.run import weights_of
 from experiments.suites.suite import suite_named
 
@@ -102,6 +103,7 @@ ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
     "robustness": draw_robustness,
     "cost": draw_cost,
     "difficulty": draw_difficulty,
+    "training": draw_training,
 }
 
 
