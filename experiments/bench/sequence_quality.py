@@ -47,6 +47,13 @@ MEASURES = {
         ("no_cloud_", "no cloud"),
     )
 } | {f"{kind}_area_under_curve": f"AUC of {kind}s" for kind in ("node", "edge")}
+SHARES = (
+    "likeliest sequence",
+    "its motion from the start",
+    "its motions between codes",
+    "its motion to the goal",
+    f"one of {BEAMS} sequences in the beams",
+)
 Query = tuple[Scene, np.ndarray, np.ndarray]  # scene, start (n,), goals (k, n) [rad]
 Hypotheses = list[tuple[np.ndarray, list[CodeSequence]]]  # goals (n,), and sequences to each, likeliest first
 Predicts = Callable[[np.ndarray, np.ndarray, np.ndarray], Hypotheses]  # from a cloud, a start and goals
@@ -82,11 +89,9 @@ def bench_sequences(scenes: int, model: str | None) -> Iterator[Measurement]:
                 yield Measurement(f"{name}: {what}", "" if "AUC" in what else "nats", [value])
         queries = _kitchen_queries(scenes) if name == "kitchen" else _family_queries(labels)
         free = _free(predicts, robot, nodes, queries)
-        for which, column in zip(
-            ("the likeliest sequence", f"one of {BEAMS} in the beams"), free.T, strict=True
-        ):
+        for which, column in zip(SHARES, free.T, strict=True):
             share = [100.0 * column.mean()] if len(column) else []
-            yield Measurement(f"{name}: {which} is free, of {len(column)}", "%", share)
+            yield Measurement(f"{name}: {which} free, of {len(column)}", "%", share)
 
 
 def _kitchen_queries(count: int) -> list[Query]:
@@ -108,23 +113,20 @@ def _family_queries(labels: RoadmapDataset) -> list[Query]:
 
 
 def _free(predicts: Predicts, robot: Robot, nodes: np.ndarray, queries: Sequence[Query]) -> np.ndarray:
-    """Of each predicted goal (g, 2) bool: the likeliest sequence is free, and one of those in the beams.
-
-    Free are the straight motions from the start over the codes' nodes to the goal, by the exact checker.
-    """
-    found, spaces, clouds = list[tuple[bool, bool]](), dict[str, ConstrainedSpace](), dict[str, np.ndarray]()
+    """Of each predicted goal what of SHARES is free (g, 5) bool: straight motions, by the exact checker."""
+    found, spaces, clouds = list[tuple[bool, ...]](), dict[str, ConstrainedSpace](), dict[str, np.ndarray]()
     for scene, start, goals in queries:
         if scene.name not in spaces:
             spaces[scene.name], clouds[scene.name] = unconstrained_space(robot, scene), observer()(scene)
         arrays = spaces[scene.name].arrays
         for goal, sequences in predicts(clouds[scene.name], start, goals):
-            free = []
+            each = []
             for sequence in sequences:
                 states = np.concatenate([start[None], nodes[list(sequence.codes)], goal[None]])
-                motions = pairwise(states)
-                free.append(sequence.finished and all(motion_free(arrays, a, b) for a, b in motions))
-            found.append((free[0], any(free)))
-    return np.array(found, dtype=bool).reshape(-1, 2)
+                free = [bool(motion_free(arrays, a, b)) for a, b in pairwise(states)]
+                each.append((sequence.finished and all(free), free[0], all(free[1:-1]), free[-1]))
+            found.append((*each[0], any(whole for whole, *_ in each)))
+    return np.array(found, dtype=bool).reshape(-1, len(SHARES))
 
 
 def _predicts(stored: StoredModel, robot: Robot) -> Predicts:
