@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 RECORDING = ".rrd"
 FILMS = (".gif", ".mp4")
+PAGE = ".html"
 
 
 def add_show(parser: argparse.ArgumentParser) -> None:
@@ -21,8 +22,8 @@ def add_show(parser: argparse.ArgumentParser) -> None:
     shown = parser.add_argument_group("pictures")
     still = "a still picture: start, goal and the way between; of a task, the end of each phase"
     shown.add_argument("--picture", type=Path, metavar="P.png", help=still)
-    film = "a rerun recording, or a film (mp4 where ffmpeg is installed)"
-    shown.add_argument("--save", type=Path, metavar="RUN.rrd|gif|mp4", help=film)
+    film = "a page for a browser, a rerun recording, or a film (mp4 where ffmpeg is installed)"
+    shown.add_argument("--save", type=Path, metavar="RUN.html|rrd|gif|mp4", help=film)
     shown.add_argument("--view", action="store_true", help="open the rerun viewer; needs a display")
 
 
@@ -30,9 +31,11 @@ def check_show(args: argparse.Namespace) -> None:
     """Refuse before planning what would fail after it."""
     for path in filter(None, (args.save, args.picture)):
         writable_file(path)
-    if args.save is not None and args.save.suffix != RECORDING:
+    if args.save is not None and args.save.suffix not in (PAGE, RECORDING):
         if args.save.suffix not in FILMS:
-            raise UnknownChoiceError(f"--save {args.save}: suffix", args.save.suffix, (RECORDING, *FILMS))
+            raise UnknownChoiceError(
+                f"--save {args.save}: suffix", args.save.suffix, (PAGE, RECORDING, *FILMS)
+            )
         from cvqmpt_lab.show.film import check_film
 
         check_film(args.save)
@@ -60,6 +63,11 @@ def show_solution(
 
         film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
+    if args.save and args.save.suffix == PAGE:
+        from cvqmpt_lab.show.web_page import save_page
+
+        notes = save_page(solution, args.save, carried)
+        lines += [_page_line(args.save), *notes]
     recording = args.save if args.save and args.save.suffix == RECORDING else None
     if recording or args.view:
         from cvqmpt_lab.show.recording import log_solution
@@ -78,6 +86,11 @@ def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
 
         film_task(solution, args.save, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
+    elif args.save and args.save.suffix == PAGE:
+        from cvqmpt_lab.show.web_page import save_task_page
+
+        notes = save_task_page(solution, args.save)
+        lines += [_page_line(args.save), *notes]
     elif args.save:
         from cvqmpt_lab.show.recording import log_task
 
@@ -88,3 +101,7 @@ def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
 
         lines.append(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
     return lines
+
+
+def _page_line(path: Path) -> str:
+    return f"page written to {path}; open it in a browser, no network is needed"

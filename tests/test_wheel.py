@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
-DATA = ("*.py", "weights/*/*", "schemas/*.json", "published/*.csv")
+DATA = ("*.py", "weights/*/*", "schemas/*.json", "show/*.html", "published/*.csv")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.constraints.report import ROWS, UNITS, displacements
+from cvqmpt_lab.poses import rotation_matrices
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.show.meshes import Colour
 
@@ -33,11 +34,16 @@ class Plot:
     @property
     def range(self) -> tuple[float, float]:
         """Of the vertical axis, with room for the legend above the curves."""
-        values = np.concatenate([curve.values for curve in self.curves.values()])
-        values = values[np.isfinite(values)]
-        low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+        low, high = self.extremes
         height = max(high - low, 1e-3)
         return low - 0.05 * height, high + LEGEND_ROOM * height
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """Least and largest value; 0 and 1 without any."""
+        values = np.concatenate([curve.values for curve in self.curves.values()])
+        values = values[np.isfinite(values)]
+        return (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
 
 
 def plots_along(problem: PlanningProblem, states: np.ndarray) -> tuple[Plot, ...]:
@@ -60,6 +66,19 @@ def bound_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
             number = f" of region {k}" if len(problem.constraint) > 1 else ""
             title = f"{ROWS[row]}{number} against its bounds [{UNITS[row]}]"
             found.append(Plot(f"bounds/{k}_{ROWS[row].replace(' ', '_')}", title, curves))
+    return found
+
+
+def tilt_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
+    """For every region with one free turn, the angle between its axis in w and where the end effector has it."""
+    found = []
+    for k, region in enumerate(problem.constraint):
+        free = {3, 4, 5} - set(region.bounded_rows.tolist())
+        if len(free) == 1:
+            x = displacements(problem.robot, region, states)[:, 3:]
+            axis = free.pop() - 3
+            tilt = np.degrees(np.arccos(np.clip(rotation_matrices(x)[:, axis, axis], -1.0, 1.0)))
+            found.append(Plot(f"tilt/{k}", "tilt of the hand [deg]", {"tilt": Curve(tilt, width=2.5)}))
     return found
 
 

@@ -63,7 +63,7 @@ def log_solution(
     path = Path(save) if save is not None else Path(tempfile.mkdtemp(prefix="cvqmpt-")) / "solution.rrd"
     problem = with_load(solution.problem, carried)
     states = None if solution.simplified is None else solution.simplified.path.states
-    plots = () if states is None else plots_along(problem, states)
+    plots = () if states is None else plots_along(solution.problem, states)
     save_recording(
         path, _blueprint(plots), lambda recording: _log_everything(recording, solution, problem, plots)
     )
