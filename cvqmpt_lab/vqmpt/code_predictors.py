@@ -19,10 +19,10 @@ SPACING = 0.2  # [rad] between waypoints of a path whose codes are taken
 
 @dataclass(frozen=True, eq=False)
 class TransformerCodes:
-    """The likeliest sequence to each of the goals with the cheapest ways to them, by beam search (K = 3)."""
+    """Sequences to the goals with the cheapest ways to them, by beam search (K = 3): the likeliest, or all beams."""
 
     predictor: SceneTransformerPredictor
-    goals: int = GOALS
+    all_beams: bool = False
 
     def __call__(self, query: Query, observation: Observation) -> PredictedCodes:
         """Look at the cloud, rank the goals, decode."""
@@ -31,10 +31,12 @@ class TransformerCodes:
         scene = self.predictor.encode(observation.cloud, observation.use_cache)
         encoded = query.deadline.seconds
         order = self.predictor.rank(scene, query.start, query.goals)
-        goals = query.goals[order[: self.goals]]
-        found = [s for s in self.predictor.sequences(scene, query.start, goals) if s.finished]
+        goals = query.goals[order[:GOALS]]
+        beams = self.predictor.hypotheses(scene, query.start, goals, every=self.all_beams)
+        most = None if self.all_beams else 1
+        found = [sequence for beam in beams for sequence in beam[:most] if sequence.finished]
         codes = union([sequence.codes for sequence in found])
-        detail = f"{len(codes)} codes to {len(found)} of {len(goals)} goals"
+        detail = f"{len(codes)} codes of {len(found)} sequences to {len(goals)} goals"
         return PredictedCodes(codes, goals, detail, encoded - began, query.deadline.seconds - encoded)
 
 

@@ -5,6 +5,7 @@
     Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them; wide: around each code's node of the roadmap, no
                 direction narrower than WIDTH
     update      none; algorithm-2: codes moved by gradient towards F(q) = 0; projected: every mean put on the manifold
+    sequences   likeliest: the best of the transformer's beams to each goal (paper); all-beams: all three
     cloud       the scene's own; other-cloud: that of another scene; no-cloud: no points
 
 Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about, all equally likely
@@ -21,7 +22,9 @@ PREFIX = "cvq:"
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
 GAUSSIANS = ("decoded", "wide")
 UPDATES = ("none", "algorithm-2", "projected")
+SEQUENCES = ("likeliest", "all-beams")
 CLOUDS = ("own-cloud", "other-cloud", "no-cloud")
+WORDS = {"gaussians": GAUSSIANS, "update": UPDATES, "sequences": SEQUENCES, "cloud": CLOUDS}
 UNIFORM = "uniform="
 WIDE_SHARE = 0.15  # uniform share that wide Gaussians get where none is given
 
@@ -37,12 +40,14 @@ class SamplerChoice:
     uniform_share: float = (
         0.0  # of samples between the joint limits; at 0 a planner is not probabilistically complete
     )
+    sequences: str = "likeliest"  # of SEQUENCES; of the transformer
 
     def __post_init__(self) -> None:
-        choices = {"predictor": PREDICTORS, "gaussians": GAUSSIANS, "update": UPDATES, "cloud": CLOUDS}
-        for name, known in choices.items():
+        for name, known in {"predictor": PREDICTORS, **WORDS}.items():
             if getattr(self, name) not in known:
                 raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
+        if self.sequences == "all-beams" and self.predictor != "transformer":
+            raise InvalidInputError(f"all-beams goes with predictor transformer, not {self.predictor}")
         if not 0.0 <= self.uniform_share <= 1.0:
             raise InvalidInputError(f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1")
 
@@ -52,23 +57,16 @@ class SamplerChoice:
         predictor, *words = text.split("+")
         found: dict[str, Any] = {}
         for word in words:
-            value: Any = word
-            if word.startswith(UNIFORM):
-                kind, value = "uniform_share", _share(word)
-            elif word in GAUSSIANS:
-                kind = "gaussians"
-            elif word in UPDATES:
-                kind = "update"
-            elif word in CLOUDS:
-                kind = "cloud"
-            else:
-                known = (*GAUSSIANS, *UPDATES, *CLOUDS, f"{UNIFORM}0.15")
+            kind = next((kind for kind, known in WORDS.items() if word in known), None)
+            kind = "uniform_share" if word.startswith(UNIFORM) else kind
+            if kind is None:
+                known = [*(word for words in WORDS.values() for word in words), f"{UNIFORM}0.15"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
                 raise InvalidInputError(
                     f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
                 )
-            found[kind] = value
+            found[kind] = _share(word) if kind == "uniform_share" else word
         if found.get("gaussians") == "wide":
             found.setdefault("uniform_share", WIDE_SHARE)
         return cls(predictor=predictor, **found)
@@ -85,7 +83,7 @@ NAMED: Mapping[str, SamplerChoice] = {
     "cvq-mpt": SamplerChoice.of("transformer+decoded"),
     "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded"),
-    "cvq-wide": SamplerChoice.of("transformer+wide+projected"),
+    "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams"),
     "graph-cvq": SamplerChoice.of("graph+wide+projected"),
 }
 """Products that planners are named after. The first three are the paper's, the others ours."""

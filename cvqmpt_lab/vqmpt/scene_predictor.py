@@ -70,15 +70,18 @@ class SceneTransformerPredictor:
 
         beams: hypotheses kept for each goal, K. Raises InvalidInputError for a start or goal outside the joint limits.
         """
-        return [found[0] for found in self.hypotheses(scene, start, goals, beams)]
+        return [found[0] for found in self.hypotheses(scene, start, goals, beams, every=False)]
 
     def hypotheses(
-        self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3
+        self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3, every: bool = True
     ) -> list[list[CodeSequence]]:
-        """All that are in the beams at the end, likeliest first, for each goal; see `sequences`."""
+        """All that are in the beams once the best of each goal, or every one, is finished; see `sequences`.
+
+        The likeliest comes first.
+        """
         start, goals = checked_ends(self.robot, start, goals)
         decoder = SequenceDecoder(self._network, scene, start, goals)
-        return likeliest_sequences(decoder, beams)
+        return likeliest_sequences(decoder, beams, every)
 
     def goal_costs(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Cost (k,) [rad] of the cheapest way from start (n,) over the roadmap to each of goals (k, n).

@@ -128,11 +128,12 @@ def _log_softmax(logits: np.ndarray) -> np.ndarray:
 
 
 def likeliest_sequences(
-    decoder: SequenceDecoder, beams: int, longest: int = LONGEST
+    decoder: SequenceDecoder, beams: int, every: bool = False, longest: int = LONGEST
 ) -> list[list[CodeSequence]]:
     """The hypotheses to each goal, likeliest first, by a beam search over the ways; as of `beam_search.beam_search`.
 
-    A goal's rows are left out of the batch once its best hypothesis is finished. longest: codes of a sequence.
+    A goal's rows are left out of the batch once its best hypothesis is finished, or every one. longest: codes of a
+    sequence.
     """
     ways, log_p = decoder.start()
     goals, links = ways.shape
@@ -156,9 +157,10 @@ def likeliest_sequences(
             [np.take_along_axis(codes, rank[..., None], axis=1), ways[row, column][..., None]], axis=2
         )
         ended = codes[..., -1] == goal_class
-        for one in np.flatnonzero(ended[:, 0]).tolist():
+        done = ended.all(axis=1) if every else ended[:, 0]
+        for one in np.flatnonzero(done).tolist():
             found[int(asked[one])] = _sequences(codes[one], score[one], goal_class)
-        going = ~ended[:, 0]
+        going = ~done
         if not going.any():
             break
         asked, codes, score, ended, parents = (

@@ -118,6 +118,8 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         "projected": MeansProjected(gaussians),
     }
     predict, observe = PREDICTORS[choice.predictor](robot, model)
+    if choice.sequences == "all-beams":
+        predict = TransformerCodes(_scene_predictor(model, robot), all_beams=True)
     if observe is not None:
         observe = CLOUDS.get(choice.cloud, observe)
     return Stages(predict=LearnedProposal(predict, gaussians), observe=observe, update=updates[choice.update])

@@ -68,6 +68,7 @@ def test_words_say_the_product(words, choice):
         ("graph+broad", "part of planner cvq:graph+broad 'broad'; valid choices: decoded, wide"),
         ("graph+wide+decoded", "two parts of one kind, 'decoded'"),
         ("graph+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
+        ("graph+all-beams", "all-beams goes with predictor transformer, not graph"),
         ("graph+uniform=x", "give a number from 0 to 1 behind 'uniform='"),
     ],
 )

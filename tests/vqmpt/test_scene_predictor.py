@@ -164,6 +164,11 @@ def test_sequences_are_those_of_the_beam_search_over_all_classes(predictor, quer
     np.testing.assert_allclose([o.score for o in found], [o.score for o in expected], atol=1e-4)
     alone = [predictor.sequences(scene, queries[0], goal[None], beams)[0].codes for goal in queries[1]]
     assert alone == [one.codes for one in found]
+    every = predictor.hypotheses(scene, *queries, beams)
+    assert [one[0] for one in every] == found and {len(set(one)) for one in every} == {beams}
+    for hypotheses in every:
+        scores = [one.score for one in hypotheses]
+        assert scores == sorted(scores, reverse=True) and all(one.finished for one in hypotheses)
 
 
 def test_compiled_groups_are_those_of_training():
