@@ -19,7 +19,7 @@ from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
-from cvqmpt_lab.search.query import Observation, Query, search
+from cvqmpt_lab.search.query import Observation, Query, SamplingDistribution, search
 from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -39,6 +39,9 @@ class Solution(Pictured):
     goal_seconds: float = 0.0  # what drawing goals took [s]
     observe_seconds: float = 0.0  # of rendering or reading the cloud [s]; charged to nobody
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
+    distribution: SamplingDistribution | None = (
+        None  # that the search drew from; None where it drew from none
+    )
 
     def __repr__(self) -> str:
         plan, path, sure = self.plan, self.simplified and self.simplified.path, self.certificate
@@ -117,11 +120,14 @@ def solve(
     if space.doubtful:
         exact = f"exact checks near {', '.join(space.doubtful)}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
+    drawn_from = proposal.distribution if stages.search is None and proposal.path is None else None
+    found = Solution(problem, plan, None, None, goal_seconds, observation.seconds, distribution=drawn_from)
     if plan.path is None:
-        return Solution(problem, plan, None, None, goal_seconds, observation.seconds)
+        return found
     shorter = simplify(space, plan.path, rng, simplification)
-    certificate = certify(problem, shorter.path, clearance=clearance)
-    found = Solution(problem, plan, shorter, certificate, goal_seconds, observation.seconds)
+    found = replace(
+        found, simplified=shorter, certificate=certify(problem, shorter.path, clearance=clearance)
+    )
     if optimize is None:
         return found
     rng = problem.random_stream(seed, 1)

@@ -26,7 +26,7 @@ EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
 SCHEMA = "cvqmpt-expectations/1"
 SUITE = "place-task"
 COUNTS = ("n_iterations", "n_projections", "n_newton_iterations", "n_state_checks", "vertices")
-COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256")
+COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled")
 BOUNDED_COUNTS = ("n_projections", "n_state_checks")  # the other counts have no bounds worth stating
 COUNT_FACTOR = 5.0  # between the geometric means over a planner's runs
 LENGTH_SHARE = 0.5  # between the mean lengths over a planner's runs
@@ -64,6 +64,9 @@ CASES: tuple[Case, ...] = (
             ("cvq-wide", (5,), SUITE),
             ("graph-cvq", (5,), SUITE),
             ("roadmap-cvq", (2, 5, 8), SUITE),
+            ("cvq:transformer+wide+projected+no-cloud", (5,), "factorial"),
+            ("cvq:random+decoded+algorithm-2+uniform=0.15", (5,), "factorial"),
+            ("cvq:oracle+wide+algorithm-2", (2,), "factorial-constraints"),
             ("birrt", (1,), "sensor"),  # from rendered images, through filters, in a map
             ("roadmap-cvq", (1,), "sensor"),
         )

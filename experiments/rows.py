@@ -19,6 +19,7 @@ from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor_task import SensedProblem
 from experiments.suites.suite import SuiteItem, suite_named
 
+DRAWS = 256  # of a sampling distribution, whose G is told
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
 """Columns of a phase that count all of its attempts."""
 
@@ -137,8 +138,19 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         t_improve_s=more.seconds if more else None,
         n_restarts=more.searches if more else None,
         path_length_first_rad=more.lengths[0][1] if more else None,
+        g_sampled=_sampled_g(solution),
         **(asdict(run.method.sampler) if run.method.sampler else {}),
     )
+
+
+def _sampled_g(solution: Solution) -> float | None:
+    """Mean of G = F(q)^T F(q) over DRAWS draws of what was sampled; None without samples or constraint."""
+    problem = solution.problem
+    if solution.distribution is None or not problem.constraint:
+        return None
+    drawn = solution.distribution.sample(np.random.default_rng(0), DRAWS)
+    residual = problem.manifold.residual(np.clip(drawn, problem.robot.lower, problem.robot.upper))
+    return float(np.square(residual).sum(axis=1).mean())
 
 
 def _fail_reason(solution: Solution) -> FailReason | None:

@@ -123,6 +123,9 @@ class ResultRow:
     update: str | None = None
     cloud: str | None = None
     uniform_share: float | None = None
+    sequences: str | None = None
+    # G = F(q)^T F(q), mean over fixed draws of what is sampled, before projection [the constraint's units, squared].
+    g_sampled: float | None = None
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():

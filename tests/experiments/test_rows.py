@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import Fault, FaultKind
@@ -11,7 +12,7 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.query import Proposal
+from cvqmpt_lab.search.query import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import edge_model
 from experiments.rows import Run, failed_rows, outcome_of, result_row
@@ -50,6 +51,23 @@ def test_parts_that_a_planner_does_not_have_stay_empty(problem):
     failed, solution = row_of(problem, Timings(encode=0.03), budget=1)
     assert not failed.solved and failed.t_simplify_s is None
     assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds) and failed.t_total_s > 0.28
+
+
+def test_g_is_that_of_what_is_sampled(problem):
+    """F(q)^T F(q): none on the manifold, that of any configuration without a model, unsaid without samples."""
+
+    def g_of(covariance):
+        uniform = Uniform(problem.robot.lower, problem.robot.upper)
+        near = GaussianMixture.equal(problem.goals, covariance * np.eye(7), uniform, 0.0, "near")
+        method = Method.simple("near", predict=lambda query, observation: Proposal(near))
+        return result_row(RUN, solve(problem, method, Budget(iterations=1), seed=0), 0.0).g_sampled
+
+    assert g_of(1e-12) == 0.0 < g_of(0.1) < g_of(1.0)
+    anywhere = problem.robot.random_configurations(np.random.default_rng(1), 4000)
+    expected = np.square(problem.manifold.residual(anywhere)).sum(axis=1).mean()
+    row, solution = row_of(problem, Timings(), budget=1)
+    assert row.g_sampled == pytest.approx(expected, rel=0.2)
+    assert result_row(RUN, replace(solution, distribution=None), 0.0).g_sampled is None
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
