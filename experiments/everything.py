@@ -55,6 +55,7 @@ class Amount:
 
 CONTROLS_OF = Amount(CONTROLS_FOLDER, 60, cutoff=5.0, planners=CONTROLLED)
 FAMILIES = tuple(name for name in SUITES if name.startswith("family-"))
+FACTORIAL = (Amount("factorial", seeds=3, cutoff=3.0), Amount("factorial-constraints", cutoff=2.0))
 ROBOTS = tuple(name for name in SUITES if name.startswith("robots-"))
 FULL = (
     Amount("place-task", seeds=5),
@@ -68,6 +69,7 @@ FULL = (
     *(Amount(name) for name in ROBOTS),
     Amount("sensor-robustness", cutoff=3.0),
     Amount("open-door"),
+    *FACTORIAL,
 )
 HOUR = (
     Amount("place-task"),
@@ -75,6 +77,7 @@ HOUR = (
     Amount("multi-sequence", seeds=3, planners=QUICK),
     Amount("sensor"),
     Amount("constraints", cutoff=5.0),
+    *FACTORIAL,
     Amount("place-task-single-goal", cutoff=5.0, planners=QUICK),
     *(Amount(name, cutoff=3.0, planners=FAMILY) for name in FAMILIES),
     *(Amount(name, planners=ON_OTHER_ROBOTS) for name in ROBOTS),

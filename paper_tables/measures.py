@@ -5,7 +5,7 @@ Seeds of one problem are not independent: everywhere a problem counts once.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from statistics import fmean, median
@@ -86,6 +86,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name
     "path_length": attrgetter("path_length_rad"),
     "raw_length": attrgetter("path_length_raw_rad"),
     "true_clearance": attrgetter("true_clearance_m"),
+    "g_sampled": attrgetter("g_sampled"),
 }
 
 RATIOS: Mapping[str, tuple[str, Value]] = {  # by name: what is compared, and its value
@@ -138,16 +139,21 @@ def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
     return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
 
-def paired_ratio(rows: Iterable[ResultRow], baseline: Iterable[ResultRow], value: Value) -> Interval:
+def paired_ratio(
+    rows: Iterable[ResultRow],
+    baseline: Iterable[ResultRow],
+    value: Value,
+    pair: Callable[[ResultRow], Hashable] = problem_key,
+) -> Interval:
     """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
 
-    Runs are paired by problem and seed; logarithms of a problem's seeds are averaged first. Values that are not
-    positive have no ratio and are left out.
+    Runs are paired by problem and seed, or by what `pair` says of both; logarithms of a problem's seeds are averaged
+    first. Values that are not positive have no ratio and are left out.
     """
-    reference = {problem_key(row): value(row) for row in baseline if row.solved}
+    reference = {pair(row): value(row) for row in baseline if row.solved}
     logs: dict[str, list[float]] = {}
     for row in rows:
-        own, other = value(row) if row.solved else None, reference.get(problem_key(row))
+        own, other = value(row) if row.solved else None, reference.get(pair(row))
         if own and other and min(own, other) > 0.0:
             logs.setdefault(row.problem, []).append(math.log(own / other))
     ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]

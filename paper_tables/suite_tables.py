@@ -11,6 +11,7 @@ from cvqmpt_lab.results.provenance import ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.constraints_table import constraints_table
+from paper_tables.factorial_table import factorial_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
 from paper_tables.place_task_table import place_task_table
@@ -48,6 +49,10 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
     ),
     "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", robustness_table),
     "constraints": SuiteTable("Eight kinds of constraints, zero-shot, in held-out scenes", constraints_table),
+    "factorial": SuiteTable("Factorial: predictor x Gaussians x update, place task", factorial_table),
+    "factorial-constraints": SuiteTable(
+        "Factorial: predictor x Gaussians x update, eight kinds of constraints", factorial_table
+    ),
     "open-door": SuiteTable("Open the shelf's door, the hand on its handle"),
     "multi-sequence": SuiteTable(
         "Multi-sequence task: open the shelf, take the can, stand it on the counter",

@@ -15,6 +15,7 @@ from experiments.suites.constraint_task import PROBLEMS as CONSTRAINED
 from experiments.suites.constraint_task import constraint_problem
 from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
 from experiments.suites.door_task import door_problem
+from experiments.suites.factorial import PLANNERS as FACTORIAL
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
 from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, family_problem, other_robot_problem
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
@@ -84,6 +85,8 @@ SUITES: Mapping[str, Suite] = {
             for name in FAMILIES
         ),
         Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT, new_scenes=True),
+        Suite("factorial", ENVIRONMENTS[:60], place_problem, FACTORIAL, new_scenes=True),
+        Suite("factorial-constraints", CONSTRAINED[:80], constraint_problem, FACTORIAL, new_scenes=True),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
         *(
             Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)

@@ -72,6 +72,7 @@ def test_problems_are_sound(with_can):
 def test_suites_know_their_problems(suite):
     last = len(suite_named(suite).problems) - 1
     sizes = {"place-task": 150, "place-task-with-can": 150, "place-task-single-goal": 30, "constraints": 160}
+    sizes |= {"factorial": 60, "factorial-constraints": 80}
     sizes |= dict.fromkeys(("multi-sequence", "open-door", "sensor"), 10)
     sizes |= {name: 20 for name in SUITES if name.startswith("robots-")}
     sizes |= {"sensor-robustness": len(SCENES) * len(variants())}

@@ -1,0 +1,168 @@
+"""The factorial table: what predictor, Gaussians, update and cloud of a learned sampler are worth, each by itself."""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import Interval, problem_key
+from cvqmpt_lab.vqmpt.sampler_choice import CLOUDS, GAUSSIANS, NAMED, PREDICTORS, PREFIX, UPDATES
+from paper_tables import table_engine as table
+from paper_tables.measures import (
+    REFERENCE,
+    VALUES,
+    Rows,
+    SuiteRuns,
+    Value,
+    median_of,
+    paired_ratio,
+    ratio_to,
+    share_of,
+    solved,
+)
+from paper_tables.paper_numbers import PublishedValue
+from paper_tables.table_engine import Column
+from paper_tables.writers import Lines, text_lines
+
+FACTORS = ("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences")  # columns of rows
+COMPARED: Mapping[str, Value] = {
+    "work": VALUES["work"],
+    "projections": VALUES["projections"],
+    "length": VALUES["path_length"],
+    "G": VALUES["g_sampled"],
+}
+COLUMNS: Mapping[str, Column] = {
+    "solved": Column("solved %", "%", share_of(solved)),
+    **{f"{name}_ratio": Column(name, "1", ratio_to(REFERENCE, value)) for name, value in COMPARED.items()},
+    "own_time_median": Column("time [s]", "s", median_of("own_time")),
+}
+DECODED: Mapping[str, object] = {"gaussians": "decoded", "uniform_share": 0.0}
+WIDE: Mapping[str, object] = {"gaussians": "wide"}
+SEEING: Mapping[str, object] = {"predictor": "transformer"}
+SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
+SAME: Mapping[str, object] = {"uniform_share": 0.15}
+NOTES = (
+    f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, geometric mean of the "
+    "ratio over problems that both solved, bootstrap interval [95 %]. Solved: certified, Wilson interval.",
+    "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, before projection.",
+    "Time: median with failures as infinite; encoding the cloud is in it, goal inverse kinematics is not.",
+    "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian at 16 draws a code and "
+    "step, five steps, and F at 64 more), which is in the time.",
+    "Contrasts: the first over the second, all else equal; every product that both sides have is paired by problem and "
+    "seed, and a problem counts once. Intervals are not corrected for their number. Wide and decoded are compared at "
+    "15 % uniform samples.",
+    "The transformer also chooses the three goals that Gaussians lie around; graph and random codes have the nearest. "
+    "The oracle's work includes the path without constraint that its codes are of.",
+)
+
+
+class Contrast(NamedTuple):
+    """Two values of a factor, on rows whose other columns are the same."""
+
+    title: str
+    factor: str  # of FACTORS
+    one: object
+    other: object
+    within: Mapping[str, object]  # what both sides have
+
+    def side(self, rows: Rows, value: object) -> Rows:
+        """The rows of one side."""
+        wanted = {**self.within, self.factor: value}
+        return [row for row in rows if all(getattr(row, name) == x for name, x in wanted.items())]
+
+    def entry(self, runs: SuiteRuns) -> table.Entry:
+        """The ratios of the first side's rows to the second's."""
+        first, second = (self.side(runs.rows, value) for value in (self.one, self.other))
+        columns = {
+            name: Column(name, "1", partial(self._ratio, second, value)) for name, value in COMPARED.items()
+        }
+        return table.entry(self.title, first, runs, columns, suffix="_contrast")
+
+    def _ratio(self, second: Rows, value: Value, first: Rows, runs: SuiteRuns) -> Interval:
+        return paired_ratio(first, second, value, partial(_without, self.factor))
+
+
+def _without(factor: str, row: ResultRow) -> Hashable:
+    """What the rows of a pair share."""
+    return problem_key(row), tuple(getattr(row, name) for name in FACTORS if name != factor)
+
+
+CONTRASTS = (
+    Contrast("transformer / random codes, decoded", "predictor", "transformer", "random", DECODED),
+    Contrast("transformer / random codes, wide", "predictor", "transformer", "random", WIDE),
+    Contrast("transformer / graph, decoded", "predictor", "transformer", "graph", DECODED),
+    Contrast("transformer / graph, wide", "predictor", "transformer", "graph", WIDE),
+    Contrast("own / other cloud, decoded", "cloud", "own-cloud", "other-cloud", SEEING_DECODED),
+    Contrast("own / other cloud, wide", "cloud", "own-cloud", "other-cloud", SEEING_WIDE),
+    Contrast("own / no cloud, decoded", "cloud", "own-cloud", "no-cloud", SEEING_DECODED),
+    Contrast("own / no cloud, wide", "cloud", "own-cloud", "no-cloud", SEEING_WIDE),
+    Contrast("Algorithm 2 / none, transformer decoded", "update", "algorithm-2", "none", SEEING_DECODED),
+    Contrast("Algorithm 2 / none, all decoded", "update", "algorithm-2", "none", DECODED),
+    Contrast("Algorithm 2 / none, all wide", "update", "algorithm-2", "none", WIDE),
+    Contrast("projected / none, transformer decoded", "update", "projected", "none", SEEING_DECODED),
+    Contrast("projected / none, all decoded", "update", "projected", "none", DECODED),
+    Contrast("projected / none, all wide", "update", "projected", "none", WIDE),
+    Contrast("wide / decoded, transformer", "gaussians", "wide", "decoded", {**SEEING, **SAME}),
+    Contrast("wide / decoded, random codes", "gaussians", "wide", "decoded", {"predictor": "random", **SAME}),
+    Contrast("15 % uniform / none, decoded", "uniform_share", 0.15, 0.0, {"gaussians": "decoded"}),
+    Contrast("all beams / likeliest, transformer wide", "sequences", "all-beams", "likeliest", WIDE),
+)
+
+
+def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
+    """Every product, by predictor, then the contrasts."""
+    runs = table.suite_runs(rows)
+    groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
+    found = [
+        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
+        for name, own in groups
+    ]
+    contrasts = [item for contrast in CONTRASTS if (item := contrast.entry(runs)).measured["work"].n]
+    suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
+    lines, told = table.group_lines(found, ["predictor"]), _contrast_lines(contrasts)
+    short = [[line[0], *line[2:4]] for line in told]
+    brief = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
+    return table.Rendered(
+        size=size,
+        sections={
+            "Products": lines,
+            "Contrasts": told,
+            "Fallbacks": table.count_lines(found, "fallbacks"),
+            "Failures": table.count_lines(found, "failures"),
+            "Notes": [*NOTES, f"By name: {_names()}.", *table.seed_notes(runs)],
+        },
+        latex=table.latex_groups(
+            f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines
+        ),
+        csv=table.csv_of(suite, [*found, *contrasts]),
+        brief=[*table.brief_groups(brief, [1, *range(3, len(lines[0]))]), "", *text_lines(short)],
+    )
+
+
+def _place(row: ResultRow) -> tuple[int, ...]:
+    """Where a product stands: REFERENCE first, controls of one choice after their predictor's others."""
+    if row.predictor is None:
+        return (-1,)
+    assert row.gaussians is not None and row.update is not None and row.cloud is not None
+    special = (row.cloud != CLOUDS[0]) + 2 * (row.gaussians == "decoded" and bool(row.uniform_share))
+    return (
+        PREDICTORS.index(row.predictor),
+        special + 4 * (row.sequences == "all-beams"),
+        GAUSSIANS.index(row.gaussians),
+        UPDATES.index(row.update),
+        CLOUDS.index(row.cloud),
+    )
+
+
+def _contrast_lines(contrasts: Sequence[table.Entry]) -> Lines:
+    cells = ([item.planner, str(item.measured["work"].n), *map(item.cell, COMPARED)] for item in contrasts)
+    return [["the first / the second", "problems", *COMPARED], *cells]
+
+
+def _names() -> str:
+    """Products that planners are named after."""
+    parts = ({**vars(choice), "planner": name} for name, choice in NAMED.items())
+    return ", ".join(
+        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}"
+        for p in parts
+    )
