@@ -10,6 +10,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_tor
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,
+    TRANSFORMER,
     read_description,
     read_model,
     resolve_model,
@@ -75,6 +76,10 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
 def _info(folder: Path) -> dict[str, Any]:
     """Everything a folder of weights holds but the weights, which are read and checked."""
     model, description = read_model(folder), read_description(folder)
+    if TRANSFORMER in model.parts:
+        from cvqmpt_lab.vqmpt.codebook import require_own_dictionary  # compiles
+
+        require_own_dictionary(model)
     parts = {
         f"{name}.safetensors": {
             "bytes": (folder / f"{name}.safetensors").stat().st_size,

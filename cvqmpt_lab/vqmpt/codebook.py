@@ -14,11 +14,12 @@ from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain
-from cvqmpt_lab.vqmpt.weights import StoredModel, robot_signature
+from cvqmpt_lab.vqmpt.weights import TRAINED_BY, TRANSFORMER, RobotSignature, StoredModel, robot_signature
 
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
 CHAIN_TOLERANCE = 1e-4  # link frames that differ by less are those of training [m, entries of rotations]
 DICTIONARY = "dictionary"  # name of the part
+NODE_TOLERANCE = 1e-3  # [rad or m] between a code's node in a transformer's training and here
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +239,21 @@ def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray
     return ((x @ weight.T + bias) @ code_vectors(model).T).argmax(axis=1)
 
 
-def drawn_nodes(means: np.ndarray, covariances: np.ndarray, robot: Robot, noise: np.ndarray) -> np.ndarray:
+def require_own_dictionary(model: StoredModel) -> None:
+    """Raise InvalidInputError for a transformer that was trained on the codes of another dictionary than is stored."""
+    robot, z = model.robot, code_vectors(model)
+    gaussians, span = CodeDecoder(model, np.float64).decode(z), np.subtract(robot.upper, robot.lower)
+    means, covariances = robot.lower + gaussians.mean * span, gaussians.covariance * np.outer(span, span)
+    nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape))
+    if not np.allclose(nodes, model.array(TRANSFORMER, "nodes", *nodes.shape), atol=NODE_TOLERANCE, rtol=0.0):
+        raise InvalidInputError(
+            f"transformer was trained on the codes of another dictionary; {TRAINED_BY[TRANSFORMER]}"
+        )
+
+
+def drawn_nodes(
+    means: np.ndarray, covariances: np.ndarray, robot: Robot | RobotSignature, noise: np.ndarray
+) -> np.ndarray:
     """One configuration (codes, n) from each code's Gaussian, inside the limits; noise (codes, n): standard normal.
 
     Means crowd in the middle of where paths pass; draws cover it as training's waypoints do.

@@ -15,9 +15,9 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.array_layers import Block, Layers, Linear, gelu, relu, softplus
 from cvqmpt_lab.vqmpt.code_arcs import QUEUE, UNREACHED, arcs_of, cheapest_ways
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig
+from cvqmpt_lab.vqmpt.weights import TRANSFORMER as PART
 from cvqmpt_lab.vqmpt.weights import StoredModel, robot_signature
 
-PART = "transformer"
 RISK, WAVES = 3.0, 5  # as in `scene_transformer`
 BATCH = 16  # groups of points
 
@@ -65,17 +65,17 @@ class SceneLooker:
         if model.config.transformer is None:
             raise InvalidInputError("the model has a transformer, but its configuration describes none")
         self.config: SceneTransformerConfig = model.config.transformer
-        self.robot, self._layers = robot, Layers(model, PART)
+        self.robot, layers = robot, Layers(model, PART)  # not kept: layers hold all that was read
         self.nodes, self.edges = _roadmap(model, self.config)
-        self._take_over()
-        self._kept_kinematics()
+        self._take_over(layers)
+        self._kept_kinematics(layers)
         self.arcs = arcs_of(len(self.nodes), self.edges)
         ends = self.nodes[self.edges]
         self._length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         self._heap = np.empty(QUEUE * len(self.nodes)), np.empty(QUEUE * len(self.nodes), dtype=np.int32)
 
-    def _take_over(self) -> None:
-        layers, sizes, count = self._layers, self.config.sizes, self.config.n_nodes
+    def _take_over(self, layers: Layers) -> None:
+        sizes, count = self.config.sizes, self.config.n_nodes
         d, e, points = sizes.width, sizes.edge_width, len(self.config.body.points)
         self._points = [
             layers.linear(f"scene.points.{k}", *widths)
@@ -110,13 +110,13 @@ class SceneLooker:
         self.reads = [Block(layers, f"reads.{k}", d, sizes.heads, 2 * d, context=True) for k in blocks]
         self._key, self._own_key = layers.linear("key", d, d), layers.array("own_key", count, d)
 
-    def _kept_kinematics(self) -> None:
+    def _kept_kinematics(self, layers: Layers) -> None:
         """What nodes contribute to what they see in any scene."""
         features, points = self._configurations(self.nodes)
         self._node_queries = self._queries(points)
         self._node_points = points
         self._node_embedding = self._embedded(features)
-        self._node_embedding += self._layers.array("own", len(self.nodes), self.config.sizes.width)
+        self._node_embedding += layers.array("own", len(self.nodes), self.config.sizes.width)
         self._node_own = self._mix_own(self._own_norm(self._node_embedding))
 
     def _configurations(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,16 +14,15 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence
-from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.codebook import require_own_dictionary
 from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
 from cvqmpt_lab.vqmpt.config import checked_cloud
-from cvqmpt_lab.vqmpt.encoded_scene import PART, EncodedScene, Ends
+from cvqmpt_lab.vqmpt.encoded_scene import EncodedScene, Ends
 from cvqmpt_lab.vqmpt.point_groups import NOWHERE
 from cvqmpt_lab.vqmpt.predictor import SCENES, checked_ends
 from cvqmpt_lab.vqmpt.sequence_decoder import CausalTransformer, SequenceDecoder, likeliest_sequences
-from cvqmpt_lab.vqmpt.weights import TRAINED_BY, StoredModel
+from cvqmpt_lab.vqmpt.weights import StoredModel
 
-NODE_TOLERANCE = 1e-3  # [rad or m] between a code's node in training and here
 POINTS = 1024  # of a cloud in training
 CENTRE, FARTHEST = (0.0, 0.0, 0.33), 1.6  # [m] points farther from there than any in training are left out
 
@@ -38,12 +37,7 @@ class SceneTransformerPredictor:
         """
         self.robot, self._network = robot, CausalTransformer(model, robot)
         self._looker = self._network.looker
-        means, covariances = dictionary_gaussians(model, robot)
-        nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape))
-        if not np.allclose(nodes, self._looker.nodes, atol=NODE_TOLERANCE, rtol=0.0):
-            raise InvalidInputError(
-                f"transformer was trained on the codes of another dictionary; {TRAINED_BY[PART]}"
-            )
+        require_own_dictionary(model)
         self._scenes: OrderedDict[str, EncodedScene] = OrderedDict()
 
     def encode(self, cloud: np.ndarray, use_cache: bool = True) -> EncodedScene:

@@ -39,7 +39,15 @@ from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.sampler import CodeRoadmap
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
-from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, StoredModel, read_model, resolve_model
+from cvqmpt_lab.vqmpt.weights import (
+    MPNET,
+    TRANSFORMER,
+    VQ_MPT,
+    StoredModel,
+    load_vq_mpt,
+    read_model,
+    resolve_model,
+)
 
 EDGE_PART = "sight"  # the edge validity model among the parts of a model
 POINTS = 4096  # of a cloud that becomes a distance field
@@ -49,8 +57,8 @@ STEPS = 5  # of Algorithm 2
 
 @lru_cache(maxsize=4)
 def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
-    """The weights of that name or folder."""
-    return read_model(resolve_model(model, architecture), architecture=architecture)
+    """The weights of that name or folder but the transformer, whose arrays nobody needs once it is made of them."""
+    return read_model(resolve_model(model, architecture), architecture=architecture, left_out=TRANSFORMER)
 
 
 @lru_cache(maxsize=8)
@@ -161,7 +169,7 @@ PREDICTORS: Mapping[str, Callable[[Robot, str], Predicts]] = {
 
 @lru_cache(maxsize=4)
 def _scene_predictor(model: str, robot: Robot) -> SceneTransformerPredictor:
-    return SceneTransformerPredictor(model_of(model), robot)
+    return SceneTransformerPredictor(load_vq_mpt(robot, model), robot)
 
 
 @lru_cache(maxsize=4)

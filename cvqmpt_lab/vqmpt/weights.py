@@ -36,8 +36,9 @@ LATER_FIELDS: dict[str, dict[str, Any]] = {
 }  # that earlier files lack
 PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer", "sight"), MPNET: ("mpnet",)}
 """Files of each architecture. The first is always there; of VQ-MPT's others those that were trained."""
+TRANSFORMER = "transformer"
 TRAINED_BY = {
-    "transformer": "train one: cvqmpt train transformer --data DIR --out DIR",
+    TRANSFORMER: "train one: cvqmpt train transformer --data DIR --out DIR",
     "sequence_model": "train one: cvqmpt train published --data DIR --out DIR",
 }
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
@@ -232,9 +233,14 @@ def read_description(
 
 
 def read_model(
-    folder: Path, robot: RobotSignature | None = None, architecture: str | None = None
+    folder: Path,
+    robot: RobotSignature | None = None,
+    architecture: str | None = None,
+    left_out: str = "",
 ) -> StoredModel:
     """Read a folder of weights; `robot` and `architecture` as in `read_description`, and its errors.
+
+    left_out: a part that is not read.
 
     Raises InvalidInputError also for a file that is missing or damaged (sha256), or a wrong field of the sizes.
     """
@@ -244,7 +250,7 @@ def read_model(
         raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, CONFIGS)
     config = from_plain(CONFIGS[of], {**LATER_FIELDS[of], **description["model"]}, "model", complete=True)
     first, *others = PARTS[of]
-    names = [first, *(name for name in others if name in listed)]
+    names = [first, *(name for name in others if name in listed and name != left_out)]
     parts = {name: _read_part(folder, listed, name) for name in names}
     return StoredModel(of, config, description["robot"], parts, description["metadata"])
 

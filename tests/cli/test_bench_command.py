@@ -13,6 +13,7 @@ from cli.main import main
         ("kernels", "projection, uniform sample"),
         ("unconstrained", "random scenes: first path"),
         ("networks", "latent update, 5 steps"),
+        ("transformer", "sequences to 20 goals, 3 beams"),
         ("throughput", "birrt, 1 worker: rate"),
     ],
 )

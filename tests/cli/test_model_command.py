@@ -1,6 +1,7 @@
 """`cvqmpt model`: report on weights, conversion of published folders, and the weights that ship."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,14 @@ from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.predictor import Predictor
-from cvqmpt_lab.vqmpt.weights import WEIGHTS, OtherRobotError, load_vq_mpt, resolve_model, robot_signature
+from cvqmpt_lab.vqmpt.weights import (
+    WEIGHTS,
+    OtherRobotError,
+    load_vq_mpt,
+    resolve_model,
+    robot_signature,
+    write_model,
+)
 
 
 def info(capsys, *words):
@@ -94,3 +102,12 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
         load_vq_mpt(slider_arm, tmp_path / "run")
     with pytest.raises(InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder"):
         load_vq_mpt(panda, "gnn")
+
+
+def test_a_transformer_beside_another_dictionary_is_refused(panda, tmp_path, capsys):
+    model, name = load_vq_mpt(panda), "quantizer.embedding.weight"
+    dictionary = dict(model.parts["dictionary"])
+    dictionary[name] = np.roll(dictionary[name], 1, axis=0)
+    write_model(tmp_path / "mixed", replace(model, parts={**model.parts, "dictionary": dictionary}))
+    said = refused(capsys, "model", "info", "--model", tmp_path / "mixed")
+    assert "trained on the codes of another dictionary; train one: cvqmpt train transformer" in said

@@ -18,6 +18,8 @@ HEAVY = (
 IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
 LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")
 REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
+PEAK = "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+MOST_MB = 40  # that weights and prediction add to the memory of a plan
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +55,14 @@ def test_a_learned_plan_reads_weights_and_imports_nothing_else():
     modules = imported("plan", "place-task", "--problem", "3", "--planner", "opt-cvq-mpt")
     assert modules >= {*LEARNED}
     assert not modules & {*HEAVY}
+
+
+def test_weights_and_prediction_need_little_memory():
+    peaks = {}
+    for planner in ("birrt", "opt-cvq-mpt"):
+        words = ["plan", "place-task", "--problem", "7", "--planner", planner]
+        peaks[planner] = int(python(f"from cli.main import main; main({words!r}); {PEAK}"))  # [kB]
+    assert peaks["opt-cvq-mpt"] - peaks["birrt"] <= 1000 * MOST_MB
 
 
 def test_the_package_alone_and_help_import_next_to_nothing():
