@@ -113,7 +113,7 @@ CLAIMS = (
         {"place-task": statements.UPDATE, "histogram": (statements.UPDATED,)},
         (("projections", "cvq-mpt"), ("g", statements.PREDICTED)),
         "G(q) is the squared violation of the constraint. `opt-cvq-mpt` is `cvq-mpt` with the paper's Algorithm 2, and "
-        "the histogram is of the Gaussians that both sample.",
+        "the histogram is of the Gaussians of codes that the two sample from.",
     ),
     Claim(
         "generalises to sensor data without training",
