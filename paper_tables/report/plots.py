@@ -38,6 +38,7 @@ STAGES = {  # of a run, by the column of their time
 }
 WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
+LEGEND_LINE = 0.18  # the same in a legend
 
 
 def svg(figure: Figure) -> str:
@@ -51,7 +52,7 @@ def svg(figure: Figure) -> str:
 @matplotlib.rc_context(STYLE)
 def solved_curve(groups: Groups) -> str:
     """Share of runs solved within a time."""
-    figure, axes = _axes(3.4)
+    figure, axes = _axes(max(3.4, LEGEND_LINE * len(groups)))
     for name, rows in groups.items():
         times = sorted(row.t_total_s for row in rows if row.solved and row.t_total_s)
         if times:
