@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cli.motion_options import add_motion, arm_of, motion_given, motion_problem, scanned
 from cli.options import add_model, log, writable_file
-from cli.plan_report import as_json, report
+from cli.plan_report import as_json, report, solution_data
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
 from cli.robot_options import add_problem, problem_asked, refuse_robot
 from cli.scan_options import add_scan
@@ -28,7 +28,7 @@ from experiments.suites.suite import SUITES, suite_named
 EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05 --picture plan.png --save plan.gif",
     "cvqmpt plan --problem-file mine.json --robot ur5 --trajectory motion.json --speed 0.2",
-    "cvqmpt plan --task-file task.json --planner ompl-projected --save task.rrd",
+    "cvqmpt plan --task-file task.json --trajectory motions/ --save task.html",
     "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal 1,0,0,-2,0,2,0",
 )
 
@@ -54,15 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_optimize(parser)
     add_show(parser)
     add("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
-    timed = "write the path as the fastest motion in time; json for ROS"
-    add("--trajectory", type=Path, metavar="OUT.csv|OUT.json", help=timed)
+    timed = "write the path as the fastest motion in time, json for ROS; of a task a folder: a file a phase"
+    add("--trajectory", type=Path, metavar="OUT.csv|OUT.json|DIR", help=timed)
     share = "share of the joints' limits that --trajectory uses (0.1)"
     add("--speed", type=float, metavar="FACTOR", help=share)
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    for path in filter(None, (args.save_path, args.trajectory)):
+    for path in filter(None, (args.save_path, None if args.task_file else args.trajectory)):
         writable_file(path)
     check_show(args)
     whole_number("--seed", args.seed)
@@ -80,7 +80,11 @@ def run(args: argparse.Namespace) -> int:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
     more = optimize_budget(args)
     solution = solve(problem, method, budget(args), args.seed, backend=args.backend, optimize=more)
-    print(as_json(solution, args.planner) if args.json else "\n".join(report(solution, args.planner)))
+    print(
+        as_json(solution_data(solution, args.planner))
+        if args.json
+        else "\n".join(report(solution, args.planner))
+    )
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and solution.simplified:
         states = solution.simplified.path.states

@@ -81,11 +81,16 @@ def _verdict(solution: Solution) -> str:
     return f"{verdict} ({seen}, clearance {1e3 * certificate.min_clearance_m:.1f} mm)"
 
 
-def as_json(solution: Solution, planner: str) -> str:
-    """The same as one json object, with the path's states; undefined numbers are null."""
+def as_json(data: dict[str, Any]) -> str:
+    """Json text; undefined numbers are null."""
+    return json.dumps(_finite(data), indent=1, allow_nan=False)
+
+
+def solution_data(solution: Solution, planner: str) -> dict[str, Any]:
+    """The same as plain data for json, with the path's states."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
     problem, more = solution.problem, solution.improvement
-    data: dict[str, Any] = {
+    return {
         "problem": problem.name,
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
@@ -118,7 +123,6 @@ def as_json(solution: Solution, planner: str) -> str:
         },
         "path": shorter.path.states.tolist() if shorter else None,
     }
-    return json.dumps(_finite(data), indent=1, allow_nan=False)
 
 
 def _finite(value: Any) -> Any:

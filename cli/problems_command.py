@@ -22,6 +22,7 @@ EXAMPLES = (
     "cvqmpt problems list place-task --problems 5",
     "cvqmpt problems export place-task --out problems/",
     "cvqmpt problems new mine.json --robot panda",
+    "cvqmpt problems new drawer.json --task",
 )
 GOALS_WIN = "The goals are used as they are; take them out, and new ones are drawn from goal_region."
 
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--problems", type=positive_int, metavar="N", help="only the first N (all)")
     add("--out", type=Path, metavar="DIR", help="folder for the json files (with export)")
     add("--goals", action="store_true", help="write sampled goals beside the goal region (with export)")
+    add("--task", action="store_true", help="a task of several phases, a drawer to open (with new)")
     add_robot(parser, "robot of the new problem (the panda)")
 
 
@@ -46,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         "out": "export",
         "goals": "export",
         "robot": "new",
+        "task": "new",
         "urdf": "new",
     }
     for option, action in goes_with.items():
@@ -63,6 +66,14 @@ def _new(args: argparse.Namespace) -> int:
     if args.urdf is not None and args.end_effector is None:
         args.end_effector = read_urdf(args.urdf).likely_end_effectors[0]
         print(f"end effector {args.end_effector}, a guess; --end-effector names another")
+    if args.task:
+        from cli.task_template import SCHEMA, task_template
+
+        text = to_text(task_template(robot_source(args) or {"name": "panda"})) + "\n"
+        write_text(writable_file(path), text)
+        write_text(path.parent / SCHEMA, read_text(FOLDER / SCHEMA))
+        print(f"{path} written, and {SCHEMA} for editors; plan it with: cvqmpt plan --task-file {path}")
+        return 0
     text = to_text(template(robot_source(args) or {"name": "panda"})) + "\n"
     write_text(writable_file(path), text)
     write_text(path.parent / SCHEMA_FILE, read_text(FOLDER / SCHEMA_FILE))

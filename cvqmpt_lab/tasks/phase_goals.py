@@ -1,12 +1,15 @@
 """Goals of the phases of a task: configurations from which the next phase can begin."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
@@ -111,19 +114,28 @@ def _goes_on(task: Task, k: int, world: World) -> bool:
 def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: int) -> PhaseGoals:
     """Up to count goals of a phase's problem; the samples depend on the start alone.
 
-    Slides and turns get goals near the start's posture: others could be reached only by letting go.
+    Slides and turns get goals near the start's posture: others could be reached only by letting go. Goals of a move
+    are drawn within its constraint only if none of the region alone keeps it.
     """
     assert problem.goal_region is not None
-    found = sample_region(
+
+    drawn = partial(
+        sample_region,
         problem.robot,
         problem.goal_region,
         _checker(problem),
-        problem.random_stream(),
-        count,
+        count=count,
         max_poses=poses,
-        within=problem.constraint if isinstance(phase, Turn) else (),
         near=None if isinstance(phase, Move) else problem.start,
     )
+    within = problem.constraint if isinstance(phase, Turn) else ()
+    found = drawn(rng=problem.random_stream(), within=within)
+    if isinstance(phase, Move) and len(found.configurations):
+        off = np.linalg.norm(problem.manifold.residual(found.configurations), axis=1)
+        if (off > TOLERANCE).all():
+            found = drawn(rng=problem.random_stream(), within=problem.constraint)
+        else:
+            found = replace(found, configurations=found.configurations[off <= TOLERANCE])
     if len(found.configurations):
         return PhaseGoals(found.configurations)
     tried = f"of {found.poses_tried} poses, {found.unreachable} without inverse kinematics"

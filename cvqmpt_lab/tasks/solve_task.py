@@ -44,6 +44,15 @@ class PhaseOutcome:
         return self.attempts[-1]
 
     @property
+    def arm_trajectory(self) -> Trajectory | None:
+        """The trajectory of the arm's own joints, without that of a door in the hand."""
+        whole, n = self.trajectory, self.world.arm.dof
+        if whole is None:
+            return None
+        arrays = (whole.positions[:, :n], whole.velocities[:, :n], whole.accelerations[:, :n])
+        return Trajectory(whole.joint_names[:n], whole.times, *arrays, deviation=whole.deviation)
+
+    @property
     def solved(self) -> bool:
         """Certified, and timed."""
         return self.solution.solved and self.trajectory is not None
@@ -83,11 +92,14 @@ def solve_task(
     timing: TimingSettings | None = None,
     backend: str = "compiled",
 ) -> TaskSolution:
-    """Plan, certify and time every phase; `budget` is that of one planning run."""
+    """Plan, certify and time every phase; `budget` is that of one planning run.
+
+    A move that goes through regions is planned in legs, and stops between them; the solution's task has them as phases.
+    """
     Budget.require(budget)
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
-    return _Run(task, method, budget, seed, timing or TimingSettings(), backend).solve()
+    return _Run(task.in_legs, method, budget, seed, timing or TimingSettings(), backend).solve()
 
 
 @dataclass(eq=False)

@@ -3,7 +3,7 @@
 `solve_task` plans it; `world.World` is one moment of it. Tasks are saved as json, schema ``cvqmpt-task/1``: "name",
 "robot", "scene" and "start" as in a problem file, and
 
-    "phases": [{"kind": "move", "name", "goal": region, "constraint": [regions]},
+    "phases": [{"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions]},
                {"kind": "slide", "name", "distance": 0.08},
                {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
                {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece, part]]},
@@ -15,7 +15,7 @@ What is grasped is carried as the scene has it, shape and pose. Contact counts a
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
@@ -42,6 +42,18 @@ class Move(Checked):
     name: Name  # Unique in its task
     goal: Region  # Poses of the end effector
     constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that it stays in on the way
+    through: Annotated[
+        tuple[Region, ...], OneOrMore(Region)
+    ] = ()  # Regions that it stops in before, in order
+
+    @property
+    def legs(self) -> tuple["Move", ...]:
+        """Moves to each of the regions of `through`, "NAME/1" and so on, and the one to the goal."""
+        stops = (
+            replace(self, name=f"{self.name}/{k}", goal=region, through=())
+            for k, region in enumerate(self.through, start=1)
+        )
+        return (*stops, replace(self, through=()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +178,12 @@ class Task(Document, Pictured):
         refuse_far(task.scene)
         report_out_of_reach(task.scene, robot_from_source(task.robot).reach)
         return task
+
+    @property
+    def in_legs(self) -> "Task":
+        """The same task with every move that goes through regions as several moves."""
+        legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in self.phases)
+        return replace(self, phases=tuple(leg for several in legs for leg in several))
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:

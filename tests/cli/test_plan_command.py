@@ -1,11 +1,17 @@
 """`cvqmpt plan`: a report and a path of a problem, the phases of a task, and refused options."""
 
+import json
+
 import numpy as np
 import pytest
 from command_line import refused
+from jsonschema import Draft202012Validator
 
 from cli.main import main
+from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
+from cvqmpt_lab.trajectory.trajectory_files import read_motion
 from experiments.suites.multi_sequence import multi_sequence_task
 
 
@@ -51,7 +57,45 @@ def test_command_line(task, tmp_path, capsys):
     )
     assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
     assert "one of the four" in capsys.readouterr().err
-    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--json"]) == 2
-    assert "--json does not go with a task" in capsys.readouterr().err
+    assert (
+        main(["plan", "--task-file", str(tmp_path / "task.json"), "--save-path", str(tmp_path / "a.csv")])
+        == 2
+    )
+    assert "--save-path does not go with a task" in capsys.readouterr().err
+    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--trajectory", "a.json"]) == 2
+    assert "of a task it is a folder" in capsys.readouterr().err
     assert main(["problems", "export", "multi-sequence", "--problems", "1", "--out", str(tmp_path)]) == 0
     assert Task.load(tmp_path / "multi-sequence-000.json").to_dict() == multi_sequence_task(0).to_dict()
+
+
+def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_path, capsys):
+    path, folder = tmp_path / "drawer.json", tmp_path / "motions"
+    assert main(["problems", "new", str(path), "--task"]) == 0
+    schema = json.loads((tmp_path / json.loads(path.read_text())["$schema"]).read_text())
+    Draft202012Validator(schema).validate(json.loads(path.read_text()))
+    capsys.readouterr()
+    assert main(["plan", "--task-file", str(path), "--json", "--trajectory", str(folder)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    index = json.loads((folder / "task.json").read_text())["steps"]
+    names = ["reach", "approach", "close", "pull", "let-go", "back", "away/1", "away"]
+    assert told["solved"] and [phase["phase"] for phase in told["phases"]] == names
+    assert [step["phase"] for step in index] == names
+    assert {step["phase"]: step["gripper"] for step in index if "file" not in step} == {
+        "close": {"finger_opening": 0.007},
+        "let-go": {"finger_opening": 0.04},
+    }
+    assert sorted(p.name for p in folder.iterdir()) == sorted(
+        ["task.json", *(s["file"] for s in index if "file" in s)]
+    )
+    task = Task.load(path)
+    q = task.start
+    for step, phase in zip(index, told["phases"], strict=True):
+        if "file" in step:
+            motion = read_motion(folder / step["file"])
+            assert motion.positions.shape[1] == 7 and motion.positions[0] == pytest.approx(q, abs=1e-9)
+            q = motion.positions[-1]
+            assert phase["certificate"]["valid"] and phase["duration_s"] == step["duration_s"]
+            assert motion.times[-1] == pytest.approx(step["duration_s"], abs=1e-6)
+            if step["phase"] == "away/1":
+                off = displacements(robot_from_source(task.robot), task.phases[-1].through[0], q[None])[0]
+                assert np.abs(off[:3]).max() <= 0.0201 and np.abs(off[3:]).max() < 1e-3
