@@ -39,6 +39,7 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
             "step_rad": LARGEST_STEP,
             "ends_rad": END_TOLERANCE,
             "margin_m": found.apart,
+            "clearance_m": problem.clearance,
             "rounding_m": ROUNDING,
         },
         "compared": _compared(problem),
@@ -80,7 +81,8 @@ def compared_lines(contents: dict[str, Any]) -> list[str]:
         f"{it['obstacles']}",
         f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of links: {left or 'none'}",
         f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, ends "
-        f"{used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm",
+        f"{used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, "
+        f"clearance from obstacles {1e3 * used['clearance_m']:g} mm",
         f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
         f"motion {contents['motion_sha256'][:12]}",
     ]

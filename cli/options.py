@@ -28,6 +28,11 @@ def positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
 
 
+def not_negative(text: str) -> float:
+    """A finite number of 0 or more."""
+    return 0.0 if text.strip() in ("0", "0.0") else positive(text)
+
+
 def log(text: str) -> None:
     """Print a line on standard error at once."""
     print(text, file=sys.stderr, flush=True)

@@ -10,7 +10,7 @@ from cli.motion_options import add_motion, arm_of, motion_given, motion_problem,
 from cli.options import add_model, log, writable_file
 from cli.plan_report import as_json, report, solution_data
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
-from cli.robot_options import add_problem, problem_asked, refuse_robot
+from cli.robot_options import add_problem, problem_asked, refuse_robot, with_clearance
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
 from cvqmpt_lab.certificate import certify
@@ -32,6 +32,8 @@ EXAMPLES = (
     "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal 1,0,0,-2,0,2,0",
 )
 
+OPTIMIZE = 0.05  # [s] after a first path, unless --optimize says otherwise
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Problem, planner, budget, and where to show it."""
@@ -51,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_motion(parser)
     add_scan(parser)
     add_budget(parser)
-    add_optimize(parser)
+    add_optimize(parser, OPTIMIZE)
     add_show(parser)
     add("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
     timed = "write the path as the fastest motion in time, json for ROS; of a task a folder: a file a phase"
@@ -105,7 +107,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
         raise InvalidInputError("--intrinsics, --extrinsics, --level and --crop are of a scan: give --cloud")
     given = [name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None]
     if motion_given(args) and not given:
-        return motion_problem(args)
+        return with_clearance(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or --start and --goal with "
@@ -114,7 +116,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     if args.task_file is None:
         return problem_asked(args)
     refuse_robot(args)
-    return Task.load(args.task_file)
+    return with_clearance(args, Task.load(args.task_file))
 
 
 def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:

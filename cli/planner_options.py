@@ -2,7 +2,7 @@
 
 import argparse
 
-from cli.options import positive, positive_int
+from cli.options import not_negative, positive, positive_int
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.search.result import Budget
@@ -24,18 +24,23 @@ def budget(args: argparse.Namespace) -> Budget:
     return Budget(seconds=seconds, iterations=args.iterations)
 
 
-def add_optimize(parser: argparse.ArgumentParser) -> None:
+def add_optimize(parser: argparse.ArgumentParser, default: float | None = None) -> None:
     """--optimize."""
     more = "spend S seconds more on a shorter path (iterations, where only --iterations bounds the run)"
-    parser.add_argument("--optimize", type=positive, metavar="S", help=more)
+    usual = f"; {default:g}, 0 for none" if default else ""
+    parser.add_argument("--optimize", type=not_negative, metavar="S", help=more + usual)
+    parser.set_defaults(usual_optimize=default)
 
 
 def optimize_budget(args: argparse.Namespace) -> Budget | None:
     """What --optimize asks for, in the unit that bounds the run."""
-    if args.optimize is None:
+    if args.optimize is None and args.cutoff is None and args.iterations is not None:
+        return None  # a run that repeats
+    seconds = args.usual_optimize if args.optimize is None else args.optimize
+    if not seconds:
         return None
     if args.iterations is None or args.cutoff is not None:
-        return Budget(seconds=args.optimize)
+        return Budget(seconds=seconds)
     if args.optimize != int(args.optimize):
         raise InvalidInputError(
             f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no clock; give a whole "

@@ -2,10 +2,11 @@
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cli.options import numbers
+from cli.options import not_negative, numbers
 from cvqmpt_lab.codec.plain import mapping
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
@@ -110,6 +111,8 @@ def add_problem(parser: argparse.ArgumentParser, robot: str = "another robot for
     parser.add_argument("suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}")
     parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
     parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
+    clear = "that robot and what it carries keep from obstacles; planned for and certified (0, or the file's)"
+    parser.add_argument("--clearance", type=not_negative, metavar="M", help=clear)
     add_robot(parser, robot)
 
 
@@ -118,9 +121,21 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
     if (args.suite is None) == (args.problem_file is None):
         raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
     if args.problem_file is not None:
-        return PlanningProblem.load(args.problem_file, robot=robot_source(args, args.problem_file))
+        robot = robot_source(args, args.problem_file)
+        return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
     refuse_robot(args)
-    return suite_named(args.suite).solvable(args.problem)
+    return with_clearance(args, suite_named(args.suite).solvable(args.problem))
+
+
+def with_clearance(args: argparse.Namespace, problem: PlanningProblem | Task) -> PlanningProblem | Task:
+    """The problem with --clearance, which tasks have not."""
+    if not args.clearance:
+        return problem
+    if isinstance(problem, Task):
+        raise InvalidInputError(
+            "--clearance does not go with a task, whose hand touches things; leave it out"
+        )
+    return replace(problem, clearance=args.clearance)
 
 
 def refuse_robot(args: argparse.Namespace) -> None:

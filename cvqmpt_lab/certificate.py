@@ -109,7 +109,7 @@ def certify(
             text += f" where it was looked at, not shown to be less than {violation.largest:.2g} in between"
         faults.append(Fault(kind, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
-        text = f"in collision: {checker.colliding_pair(proof.colliding)}"
+        text = f"in collision: {checker.contact(proof.colliding)}"
         faults.append(Fault(FaultKind.COLLISION, text, _place(path.states, proof.colliding)))
     moved = 0.0
     if proof.unproven is not None:

@@ -12,7 +12,8 @@ Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors: `schemas/p
                    {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free},
                    with "base" a frame of the robot, T0_w is the pose of w in that frame,
      "start": configuration  or  "start_region": region,
-     "goals": [configuration, ...]  and / or  "goal_region": region}
+     "goals": [configuration, ...]  and / or  "goal_region": region,
+     "clearance": 0.01}
 
 A configuration is n numbers, {"joint": value} or the name of a group_state in the robot's SRDF. A pose is {"xyz",
 "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn from the goal region only if no goals are given.
@@ -27,7 +28,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import TURN, FloatArray, Name, OneOrMore, Schema
+from cvqmpt_lab.codec.forms import TURN, Condition, FloatArray, Name, OneOrMore, Schema
 from cvqmpt_lab.codec.plain import Document, mapping, unique
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
@@ -47,6 +48,7 @@ from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
 
 MOST_REGIONS = 32  # of one constraint
+MOST_CLEARANCE = 0.2  # [m]
 CONTRADICTION = 1e-3  # [m, rad] that a given goal may be outside the goal region
 
 
@@ -80,6 +82,17 @@ class GoalsForm(StatesForm):
         return super().read(value if not isinstance(value, list) or value else np.empty((0, 0)), where)
 
 
+Clearance = Annotated[
+    float,
+    Condition(
+        float,
+        lambda x: 0.0 <= x <= MOST_CLEARANCE,
+        f"a distance from 0 to {MOST_CLEARANCE:g} [m]",
+        {"minimum": 0, "maximum": MOST_CLEARANCE},
+    ),
+]
+
+
 @dataclass(frozen=True, eq=False)
 class PlanningProblem(Document, Pictured):
     """One constrained motion planning problem."""
@@ -104,6 +117,9 @@ class PlanningProblem(Document, Pictured):
     goal_region: Region | None = None  # End-effector poses that count as a goal
     start_region: Region | None = (
         None  # End-effector poses from which the start is drawn, within the constraint
+    )
+    clearance: Clearance = (
+        0.0  # That robot and what it carries keep from obstacles [m]; planned and certified
     )
 
     def __post_init__(self) -> None:
@@ -221,7 +237,7 @@ class PlanningProblem(Document, Pictured):
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """The exact checker of this problem's world; distances below margin [m] are collisions."""
-        return shared_checker(self.robot, self.scene, self.attachments, margin)
+        return shared_checker(self.robot, self.scene, self.attachments, margin, self.clearance)
 
 
 def _with_numbers(data: Any) -> Any:
@@ -249,10 +265,10 @@ _OF_THREAD = _ThreadCheckers()
 
 
 def shared_checker(
-    robot: Robot, scene: Scene, attachments: tuple[Attachment, ...], margin: float
+    robot: Robot, scene: Scene, attachments: tuple[Attachment, ...], margin: float, clearance: float = 0.0
 ) -> CollisionChecker:
     """The exact checker of a robot, scene and attachments, cached for this thread: building it takes 10 ms."""
-    return _OF_THREAD.checker(robot, scene, attachments, margin)
+    return _OF_THREAD.checker(robot, scene, attachments, margin, clearance)
 
 
 def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = None) -> None:
@@ -264,7 +280,7 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
                 ", or leave 1 mm between what is carried and what it stands on" if problem.attachments else ""
             )
             raise InvalidProblemError(
-                f"{problem.name}: {label} is in collision: {checker.colliding_pair(q)}; choose another configuration"
+                f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another configuration"
                 f"{gap}"
             )
         if np.linalg.norm(problem.manifold.residual(q)) > TOLERANCE:

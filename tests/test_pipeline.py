@@ -1,12 +1,19 @@
 """Many problems at once, and time left for a better path."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.tasks.solve_task import solve_task
 from experiments.suites.place_task import place_problem
 
@@ -47,6 +54,37 @@ def test_seconds_left_are_used_and_hardly_more(problem):
         problem, "birrt", Budget(seconds=60.0), seed=3, clearance=False, optimize=Budget(seconds=0.2)
     ).improvement
     assert 0.2 <= made.seconds < 1.0
+
+
+@pytest.mark.parametrize("backend", ["compiled", "exact"])
+def test_a_clearance_is_planned_for_and_certified(problem, backend):
+    """Of shapes of all kinds; links may come closer to each other. A path that was planned without it is refused."""
+    shapes = (
+        Sphere(0.03),
+        Cylinder(0.02, 0.1),
+        PointCloud(np.zeros((1, 3)), 0.02),
+        ConvexMesh(np.eye(4, 3) * 0.1),
+    )
+    more = [SceneObject(f"more {k}", s, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, s in enumerate(shapes)]
+    world = replace(problem, scene=problem.scene.with_objects(*more), goals=problem.goals[:0])
+    plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend)
+    clear = solve(replace(world, clearance=0.02), "birrt", ENOUGH, seed=0, backend=backend)
+    assert plain.solved and plain.certificate.min_clearance_m < 0.02 and clear.solved
+    refused = certify(replace(world, clearance=0.02), plain.simplified.path)
+    assert any("closer than the clearance of 20 mm" in reason for reason in refused.reasons)
+    robot = replace(problem.robot, self_collision_pairs=(), collision_model=without_pairs(problem.robot))
+    alone = CollisionChecker(robot, world.scene)
+    assert all(alone.nearest(q).distance >= 0.02 for q in clear.simplified.path.states)
+    space = ConstrainedSpace(replace(world, clearance=0.02))
+    states = problem.robot.random_configurations(np.random.default_rng(0), 2000)
+    free = states[space.valid_batch(states)]
+    assert len(free) > 50 and not space.problem.collision_checker().in_collision_batch(free).any()
+
+
+def without_pairs(robot):
+    geometry = robot.collision_model.copy()
+    geometry.removeAllCollisionPairs()
+    return geometry
 
 
 def test_a_run_without_a_clock_takes_no_seconds(problem):

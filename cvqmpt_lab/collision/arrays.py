@@ -84,20 +84,30 @@ def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
 
 
 @lru_cache(maxsize=8)
-def scene_arrays(scene: Scene, reach: float) -> SceneGeometry:
-    """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base."""
+def scene_arrays(scene: Scene, reach: float, clearance: float = 0.0) -> SceneGeometry:
+    """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base.
+
+    clearance: by which every obstacle is inflated [m].
+    """
     placed = [(item.shape, item.T_world_object) for item in scene.obstacles]
-    clouds = [_cloud(shape, T, reach) for shape, T in placed if isinstance(shape, Measured)]
+    clouds = [_cloud(shape, T, reach, clearance) for shape, T in placed if isinstance(shape, Measured)]
     solids = [(shape, T) for shape, T in placed if not isinstance(shape, Measured)]
-    specs = [spec for shape, T in solids for spec in SPECS[type(shape)](shape, T)]
+    specs = [_inflated(spec, clearance) for shape, T in solids for spec in SPECS[type(shape)](shape, T)]
     cell = max(CELL, 2.0 * reach / MOST_CELLS)
     return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
 
 
-def _cloud(shape: Measured, T: np.ndarray, reach: float) -> Cloud:
-    """The balls of a small cloud; of a large one and of a map, boxes in reach."""
-    low, high, padding = blocks_of(shape, T, reach)
-    return Cloud(0.5 * (low + high), 0.5 * (high - low), padding, T)
+def _cloud(shape: Measured, T: np.ndarray, reach: float, clearance: float) -> Cloud:
+    """The balls of a small cloud; of a large one and of a map, boxes in reach; inflated by a clearance [m]."""
+    low, high, padding = blocks_of(shape, T, reach + clearance)
+    return Cloud(0.5 * (low + high), 0.5 * (high - low), padding + clearance, T)
+
+
+def _inflated(spec: ShapeSpec, clearance: float) -> ShapeSpec:
+    """A shape that reaches this much [m] further to all sides."""
+    if spec.kind == SPHERE:
+        return spec._replace(size=(spec.size[0] + clearance,))
+    return spec._replace(inflation=spec.inflation + clearance)
 
 
 def _boxes(cloud: PointCloud, T: np.ndarray) -> list[ShapeSpec]:

@@ -65,14 +65,21 @@ class CollisionChecker:
     """Whether a robot, carrying attachments, touches itself or the obstacles of a scene.
 
     Pieces that do not move against each other (a base link and the walls, a hand and what it carries) are no pair.
-    margin: pieces closer than this [m] count as touching. Contact is defined to 1e-5 m only: two checkers agree where
-    a margin is kept. Each thread needs a checker of its own.
+    margin: pieces closer than this [m] count as touching. clearance: kept from obstacles beyond it [m].
+    Contact is defined to 1e-5 m only: two checkers agree where a margin is kept. Each thread needs its own
+    checker.
     """
 
     def __init__(
-        self, robot: Robot, scene: Scene, attachments: Sequence[Attachment] = (), margin: float = 0.0
+        self,
+        robot: Robot,
+        scene: Scene,
+        attachments: Sequence[Attachment] = (),
+        margin: float = 0.0,
+        clearance: float = 0.0,
     ) -> None:
-        self.robot, self._margin = robot, margin
+        self.robot, self._margin, self._clearance = robot, margin, clearance
+        self._outer = margin + clearance  # kept from obstacles [m]
         self._model, self._data = robot.model, robot.model.createData()
         self._geometry = _robot_geometry(robot, attachments)
         self._own_results = pin.GeometryData(self._geometry)
@@ -92,7 +99,7 @@ class CollisionChecker:
         self._balls = np.array([g.parentJoint for g in objects], dtype=int), balls_around(objects)
         pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
-        self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments)))
+        self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
         self._worlds: dict[float, _World] = {}
         self._callback = coal.CollisionCallBackDefault()
         self._callback.data.request.enable_contact = True
@@ -102,7 +109,7 @@ class CollisionChecker:
         """Whether configuration q (n,) touches anything. About 20 us."""
         if pin.computeCollisions(self._model, self._data, self._own, q, True):
             return True
-        return self._meets_obstacle(np.full(len(self._links), self._margin))
+        return self._meets_obstacle(np.full(len(self._links), self._outer))
 
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) touches anything, (b,) bool."""
@@ -114,7 +121,7 @@ class CollisionChecker:
         q (k, n) lie in the hulls: distances there are compared with how far any point of a link can move.
         "No" may mean "not known".
         """
-        moved = self._needed(self._sweep.in_world(q, hulls))
+        moved = self._needed(self._sweep.in_world(q, hulls), self._outer)
         clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
         for k in np.flatnonzero(clear):
             pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q[k])
@@ -126,12 +133,12 @@ class CollisionChecker:
         """The same for links and what is carried against each other."""
         if len(self._geometry.collisionPairs) == 0:
             return np.ones(len(q), dtype=bool)
-        moved = self._needed(self._sweep.between(q, hulls))
+        moved = self._needed(self._sweep.between(q, hulls), self._margin)
         return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
 
-    def _needed(self, moved: np.ndarray) -> np.ndarray:
+    def _needed(self, moved: np.ndarray, margin: float) -> np.ndarray:
         """What coal's distances must exceed [m] where points may have moved that far: with margin and rounding."""
-        return (moved + self._margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
+        return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
         """The furthest [m] that any point of the robot can move from q (n,) inside the hull of corners (c, n)."""
@@ -162,12 +169,17 @@ class CollisionChecker:
                 return self._own_pair(k)
         self._own.update()
         request = self._callback.data.request
-        request.security_margin = self._margin
+        request.security_margin = self._outer
         world = self._world(0.0)
-        for j, i in np.argwhere(_box_gaps(self._obstacle_boxes, _boxes(self._moving)) <= self._margin):
+        for j, i in np.argwhere(_box_gaps(self._obstacle_boxes, _boxes(self._moving)) <= self._outer):
             if coal.collide(self._moving[i], world.objects[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
+
+    def contact(self, q: np.ndarray) -> str:
+        """The first overlapping pair in words; with a clearance, that it is closer than that."""
+        closer = f", closer than the clearance of {1e3 * self._clearance:g} mm" if self._clearance else ""
+        return f"{self.colliding_pair(q)}{closer}"
 
     def _own_pair(self, k: int) -> CollidingPair:
         pair, objects = self._geometry.collisionPairs[k], self._geometry.geometryObjects
@@ -226,7 +238,7 @@ class CollisionChecker:
         request, result = self._callback.data.request, self._callback.data.result
         for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
             request.security_margin = margin
-            inflation = next((s for s in (self._margin, *INFLATIONS) if s >= margin), margin)
+            inflation = next((s for s in (self._outer, *INFLATIONS) if s >= margin), margin)
             manager.collide(self._world(inflation).phase, self._callback)
             if result.isCollision():
                 return True

@@ -22,7 +22,7 @@ class ShapeSpec(NamedTuple):
     """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a hull [m]."""
     vertices: np.ndarray  # (n, 3) of a hull in the shape's frame, else (0, 3) [m]
     T_owner_shape: np.ndarray  # (4, 4) pose in the frame of the link or the world
-    inflation: float = 0.0  # of a box or hull, to all sides [m]
+    inflation: float = 0.0  # of a box, cylinder or hull, to all sides [m]
 
 
 def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:

@@ -170,7 +170,7 @@ def sample_goals(
         robot.kinematics,
         regions,
         robot_arrays(robot, problem.attachments),
-        scene_arrays(problem.scene, reach_with(robot, problem.attachments)),
+        scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
         SAMPLE_MARGIN,
         seeds,
         rng.integers(len(seeds.configurations) - LOOK + 1, size=(ATTEMPTS, max_poses)),

@@ -194,7 +194,7 @@ def _arrays(
         kinematics=kinematics,
         regions=regions,
         robot=robot,
-        scene=scene_arrays(problem.scene, reach_with(problem.robot, problem.attachments)),
+        scene=scene_arrays(problem.scene, reach_with(problem.robot, problem.attachments), problem.clearance),
         tolerance=settings.tolerance,
         max_iterations=settings.max_iterations,
         step=settings.step,
