@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.certificate import END_TOLERANCE, LARGEST_STEP, TOLERANCE, Certificate
+from cli.options import finite
+from cvqmpt_lab.certificate import END_TOLERANCE, LARGEST_STEP, TOLERANCE
 from cvqmpt_lab.collision.exact import ROUNDING, carried_pairs, obstacles_within, reach_with, solids
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
@@ -33,7 +33,7 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         **_verdict(found),
         "apart_m": found.apart,
         "curve": found.curve,
-        **_figures(found.certificate),
+        **finite({name: value for name, value in vars(found.certificate).items() if name != "faults"}),
         "tolerances": {
             "constraint": TOLERANCE,
             "step_rad": LARGEST_STEP,
@@ -100,24 +100,14 @@ def _verdict(found: DryRun) -> dict[str, Any]:
     return {"valid": certificate.valid, "verdict": str(certificate.verdict), "faults": faults}
 
 
-def _figures(certificate: Certificate) -> dict[str, Any]:
-    figures = {name: value for name, value in vars(certificate).items() if name != "faults"}
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in figures.items()
-    }
-
-
 def _compared(problem: PlanningProblem) -> dict[str, Any]:
     """Numbers of pieces, obstacles and pairs; obstacles and pairs left out, and on whose word."""
     robot, carried = problem.robot, problem.attachments
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]
     reach = reach_with(robot, carried)
-    obstacles = {
-        item.name: len(list(obstacles_within(Scene("one", (item,)), reach)))
-        for item in problem.scene.obstacles
-    }
+    alone = {item.name: Scene("one", (item,)) for item in problem.scene.obstacles}
+    obstacles = {name: len(list(obstacles_within(scene, reach))) for name, scene in alone.items()}
     pairs = carried_pairs(robot, carried)
     left_out = [pair._asdict() for pair in robot.left_out_pairs]
     left_out += [
@@ -158,8 +148,5 @@ def _flat(value: Any, name: str = "") -> dict[str, Any]:
         return {f"{name}.{pair['first']} and {pair['second']}": pair["reason"] for pair in value}
     if not isinstance(value, dict):
         return {name: value}
-    return {
-        key: leaf
-        for part, item in value.items()
-        for key, leaf in _flat(item, f"{name}.{part}".strip(".")).items()
-    }
+    parts = (_flat(item, f"{name}.{part}".strip(".")) for part, item in value.items())
+    return {key: leaf for part in parts for key, leaf in part.items()}

@@ -34,11 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--current", metavar="Q", help="where the arm stands now, in quotes [rad]: the motion begins there")
     start = "how far from there it may begin (0.01)"
     add("--tolerance", type=positive, default=0.01, metavar="RAD", help=start)
-    add(
-        "--json",
-        action="store_true",
-        help="print one json object instead of the report, with all that was compared",
-    )
+    add("--json", action="store_true", help="print one json object instead, with all that was compared")
     earlier = "what --json printed of the same motion earlier, by another version: say what differs"
     add("--against", type=Path, metavar="EARLIER.json", help=earlier)
 
@@ -58,10 +54,8 @@ def run(args: argparse.Namespace) -> int:
     current = None if args.current is None else np.array(numbers("--current", args.current))
     found = dry_run(problem, motion, current, args.tolerance)
     contents = record(problem, motion, found)
-    lines = [
-        *_report(found, problem.name),
-        *(compared_lines(contents) if found.certificate.states_checked else ()),
-    ]
+    lines = _report(found, problem.name)
+    lines += compared_lines(contents) if found.certificate.states_checked else []
     if args.against is not None:
         changed = differences(contents, args.against)
         contents["differences"] = changed
@@ -85,9 +79,9 @@ def _where(found: DryRun, at: float) -> str:
 def _report(found: DryRun, problem: str) -> list[str]:
     """The lines a person reads."""
     certificate = found.certificate
-    what = (
-        "path" if found.times is None else f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
-    )
+    what = "path"
+    if found.times is not None:
+        what = f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
     states = "x".join(map(str, np.shape(found.states)))
     verdict = {Verdict.VALID: "yes", Verdict.REFUSED: "NO"}.get(certificate.verdict, "NOT PROVEN")
     lines = [f"certified   {verdict}: {what}, {states} states, problem {problem}"]

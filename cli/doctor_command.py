@@ -58,9 +58,7 @@ def _packages() -> Iterator[Finding]:
     always = [item for item in declared if item.marker is None or item.marker.evaluate({"extra": ""})]
     yield _finding("packages", always)
     for extra in sorted(metadata.metadata(PROJECT).get_all("Provides-Extra") or ()):
-        more = [
-            item for item in declared if item.marker is not None and item.marker.evaluate({"extra": extra})
-        ]
+        more = [item for item in declared if item.marker and item.marker.evaluate({"extra": extra})]
         yield _finding(extra, [item for item in more if item not in always], extra=True)
 
 

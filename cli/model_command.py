@@ -31,10 +31,7 @@ SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do, with which folders."""
     add = parser.add_argument
-    add(
-        "action",
-        help=f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it instead)",
-    )
+    add("action", help=f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it)")
     add("--model", metavar="DIR", help=f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)")
     add("--json", action="store_true", help="info: everything, as json")
     add("--dictionary-dir", type=Path, metavar="DIR", help="import: published stage 1")

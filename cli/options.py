@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError
 
@@ -73,6 +74,15 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
         wanted = f"{len(names)} numbers, {', '.join(names)}" if names else "numbers separated by commas"
         raise InvalidInputError(f"{option} {text!r}: write {wanted}")
     return found
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that json cannot say."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return [finite(item) for item in value] if isinstance(value, list) else value
 
 
 class ProgressBar:

@@ -1,10 +1,10 @@
 """What `cvqmpt plan` says of a solution: lines for people, or one json object for programs."""
 
 import json
-import math
 from collections.abc import Sequence
 from typing import Any
 
+from cli.options import finite
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -83,7 +83,7 @@ def _verdict(solution: Solution) -> str:
 
 def as_json(data: dict[str, Any]) -> str:
     """Json text; undefined numbers are null."""
-    return json.dumps(_finite(data), indent=1, allow_nan=False)
+    return json.dumps(finite(data), indent=1, allow_nan=False)
 
 
 def solution_data(solution: Solution, planner: str) -> dict[str, Any]:
@@ -123,12 +123,3 @@ def solution_data(solution: Solution, planner: str) -> dict[str, Any]:
         },
         "path": shorter.path.states.tolist() if shorter else None,
     }
-
-
-def _finite(value: Any) -> Any:
-    """The same with null for numbers that json cannot say."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return [_finite(item) for item in value] if isinstance(value, list) else value

@@ -143,31 +143,17 @@ class OneOrMore:
         return {"anyOf": [one, {"type": "array", "items": one}]}
 
 
-NAME_LENGTHS = {"minLength": 1, "maxLength": 200}
+PRINTABLE, NAME_LENGTHS = "1 to 200 printable characters", {"minLength": 1, "maxLength": 200}
 Name = Annotated[
-    str,
-    Condition(
-        str, lambda s: 0 < len(s) <= 200 and s.isprintable(), "1 to 200 printable characters", NAME_LENGTHS
-    ),
+    str, Condition(str, lambda s: 0 < len(s) <= 200 and s.isprintable(), PRINTABLE, NAME_LENGTHS)
 ]
-UP_TO = f"up to {LARGEST:g} [m]"
+UP_TO, ABOVE_0 = f"up to {LARGEST:g} [m]", {"exclusiveMinimum": 0, "maximum": LARGEST}
 Length = Annotated[
-    float,
-    Condition(
-        float,
-        lambda x: 0.0 < x <= LARGEST,
-        f"a positive length, {UP_TO}",
-        {"exclusiveMinimum": 0, "maximum": LARGEST},
-    ),
+    float, Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, {UP_TO}", ABOVE_0)
 ]
+FROM_0 = {"minimum": 0, "maximum": LARGEST}
 Padding = Annotated[
-    float,
-    Condition(
-        float,
-        lambda x: 0.0 <= x <= LARGEST,
-        f"a length of 0 or more, {UP_TO}",
-        {"minimum": 0, "maximum": LARGEST},
-    ),
+    float, Condition(float, lambda x: 0.0 <= x <= LARGEST, f"a length of 0 or more, {UP_TO}", FROM_0)
 ]
 
 Angle = Annotated[

@@ -11,8 +11,6 @@ from cvqmpt_lab.collision.distance_grid import cell_of, known_distance
 from cvqmpt_lab.collision.separation import box_separated, compose, separated
 from cvqmpt_lab.jit import kernel
 
-FREE = -1
-
 
 @kernel(inline="machine")
 def _placed(r, t, link, sphere, k):
@@ -106,8 +104,9 @@ def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
 
 
 @kernel(inline="source")
-def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin):
-    """First item within margin of the piece in leaf node, whose ball is centred on x, y, z; or FREE."""
+def _touches_item(r, t, robot, scene, link, node, where, margin):
+    """Whether an item is within margin of the piece in leaf node, whose ball is centred on x, y, z."""
+    x, y, z, ix, iy, iz, inside = where
     piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
     listed = inside and reach <= scene.reach
     first, count = 0, scene.bounds.shape[0]
@@ -133,13 +132,13 @@ def _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, m
         centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
         solid = scene.primitive_start[i] == scene.primitive_start[i + 1]
         if solid or _touches_primitive(robot.pieces, piece, scene, i, pose, centre, reach, margin):
-            return i
-    return FREE
+            return True
+    return False
 
 
 @kernel(inline="source")
-def _obstacle_contact(r, t, robot, scene, body, margin):
-    """(geometry, obstacle) of the first contact of a body, or (FREE, FREE)."""
+def _touches_obstacle(r, t, robot, scene, body, margin):
+    """Whether an obstacle is within margin of a body, or the body's pose is not finite."""
     link = robot.body_link[body]
     node, end = robot.body_start[body], robot.body_end[body]
     while node < end:
@@ -150,18 +149,17 @@ def _obstacle_contact(r, t, robot, scene, body, margin):
                 node = robot.skip[node]
                 continue
         elif not abs(x) + abs(y) + abs(z) < np.inf:
-            return -2, FREE
-        if robot.leaf[node] >= 0:
-            item = _touched_item(r, t, robot, scene, link, node, x, y, z, ix, iy, iz, inside, margin)
-            if item != FREE:
-                return robot.owner[robot.leaf[node]], scene.owner[item]
+            return True
+        where = x, y, z, ix, iy, iz, inside
+        if robot.leaf[node] >= 0 and _touches_item(r, t, robot, scene, link, node, where, margin):
+            return True
         node += 1
-    return FREE, FREE
+    return False
 
 
 @kernel(inline="source")
-def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
-    """First piece of body other within margin of a piece with ball (x, y, z, radius), or FREE.
+def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
+    """Whether a piece of body other is within margin of a piece with ball (x, y, z, radius).
 
     pose: of the other body's link in the frame of the piece's link.
     """
@@ -176,23 +174,20 @@ def _leaf_contact(robot, piece, x, y, z, radius, other, pose, margin):
         if robot.leaf[node] >= 0 and not separated(
             robot.pieces, piece, robot.pieces, robot.leaf[node], pose, axis, margin
         ):
-            return robot.leaf[node]
+            return True
         node += 1
-    return FREE
+    return False
 
 
 @kernel(inline="source")
-def _body_contact(r, t, robot, a, b, xa, ya, za, margin):
-    """Geometries of the first contact of two bodies, or (FREE, FREE).
-
-    xa, ya, za: where the largest ball of a is in the world.
-    """
+def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
+    """Whether two bodies come within margin; xa, ya, za: where the largest ball of a is in the world."""
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_end[a], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
     limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin
     if (xa - xb) * (xa - xb) + (ya - yb) * (ya - yb) + (za - zb) * (za - zb) > limit * limit:
-        return FREE, FREE
+        return False
     world = _world_in_link(r, t, la)
     pose = compose(r[lb], t[lb], world)
     x, y, z = _moved(world, xb, yb, zb)
@@ -206,26 +201,18 @@ def _body_contact(r, t, robot, a, b, xa, ya, za, margin):
         piece = robot.leaf[node]
         if piece >= 0:
             cx, cy, cz = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-            other = _leaf_contact(robot, piece, cx, cy, cz, radius, b, pose, margin)
-            if other != FREE:
-                return robot.owner[piece], robot.owner[other]
+            if _touches_body(robot, piece, cx, cy, cz, radius, b, pose, margin):
+                return True
         node += 1
-    return FREE, FREE
+    return False
 
 
 @kernel
-def first_contact(link_rotation, link_translation, robot, scene, margin):
-    """Return the first contact found within margin [m]: which geometry touches what.
-
-    (geometry, obstacle); (geometry, -1 - other geometry); (-1, -1) when the state is free; (-2, -1) when a
-    link pose is not finite.
-    """
+def in_contact(link_rotation, link_translation, robot, scene, margin):
+    """Whether the robot comes within margin [m] of an obstacle or itself, or a link pose is not finite."""
     for k in range(robot.order.shape[0]):
-        geometry, obstacle = _obstacle_contact(
-            link_rotation, link_translation, robot, scene, robot.order[k], margin
-        )
-        if geometry != FREE:
-            return geometry, obstacle
+        if _touches_obstacle(link_rotation, link_translation, robot, scene, robot.order[k], margin):
+            return True
     placed = -1
     x = y = z = 0.0
     for k in range(robot.pairs.shape[0]):
@@ -233,7 +220,6 @@ def first_contact(link_rotation, link_translation, robot, scene, margin):
         if a != placed:
             placed, link = a, robot.body_link[a]
             x, y, z = _placed(link_rotation, link_translation, link, robot.sphere, robot.body_start[a])
-        geometry, other = _body_contact(link_rotation, link_translation, robot, a, b, x, y, z, margin)
-        if geometry != FREE:
-            return geometry, -1 - other
-    return FREE, FREE
+        if _bodies_touch(link_rotation, link_translation, robot, a, b, x, y, z, margin):
+            return True
+    return False

@@ -35,7 +35,6 @@ class Clusters(NamedTuple):
     half: np.ndarray  # (n, 3) half edges [m]
     rotation: np.ndarray  # (n, 3, 3), of the cloud's frame
     radius: np.ndarray  # (n,) inflation of the primitives [m]
-    cloud: np.ndarray  # (n,) int64, which cloud
     start: np.ndarray  # (n + 1,) int64 range in `primitives`; empty for a cluster of one primitive
     primitives: np.ndarray  # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
 
@@ -49,17 +48,12 @@ def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
     if not parts:
         none = np.empty((0, 3))
         return Clusters(
-            *(none, none, np.empty((0, 3, 3)), np.empty(0), np.empty(0, np.int64)),
-            start=np.zeros(1, np.int64),
-            primitives=np.empty((0, 6)),
+            none, none, np.empty((0, 3, 3)), np.empty(0), np.zeros(1, np.int64), primitives=np.empty((0, 6))
         )
     offsets = np.cumsum([0, *(len(part.primitives) for part in parts)])
     starts = [part.start[:-1] + offset for part, offset in zip(parts, offsets[:-1], strict=True)]
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in Clusters._fields
-        if name != "start"
-    }
+    names = (name for name in Clusters._fields if name != "start")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return Clusters(**joined, start=np.concatenate([*starts, offsets[-1:]]).astype(np.int64))
 
 
@@ -81,7 +75,6 @@ def _cluster_cloud(cloud: Cloud, number: int, voxel: float) -> Clusters:
         0.5 * (high - low) + 1e-12,
         np.tile(R, (n, 1, 1)),
         np.full(n, float(cloud.radius)),
-        np.full(n, number, dtype=np.int64),
         np.append(0, np.cumsum(np.where(count > 1, count, 0))),
         primitives,
     )

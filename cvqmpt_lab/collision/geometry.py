@@ -31,7 +31,6 @@ class RobotGeometry(NamedTuple):
     """Convex pieces of a robot, its attachments included."""
 
     pieces: ConvexShapes  # m convex pieces in their link frames
-    owner: Annotated[np.ndarray, "int64 pieces"]  # Geometry of each piece
     sphere: Annotated[np.ndarray, "balls 4"]  # Balls of all bodies, see `SphereTree` [m]
     skip: Annotated[np.ndarray, "int64 balls"]  # See `SphereTree`
     leaf: Annotated[np.ndarray, "int64 balls"]  # Piece in each ball, or -1
@@ -48,7 +47,6 @@ class SceneGeometry(NamedTuple):
 
     shapes: ConvexShapes  # All items
     bounds: Annotated[np.ndarray, "items 16"]  # Oriented boxes around them, see `distance_grid`
-    owner: Annotated[np.ndarray, "int64 items"]  # Obstacle of each item; clouds are counted after the shapes
     primitive_start: Annotated[np.ndarray, "int64 ranges"]  # Of each item's primitives; a shape has none
     primitives: Annotated[np.ndarray, "primitives 6"]  # Centres and half edges in their items' frames [m]
     grid: DistanceGrid  # Distances over the robot's reach
@@ -67,14 +65,7 @@ def robot_geometry(
     """
     bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
-    owner: list[int] = []
-    trees = []
-    for members in bodies:
-        leaves: list[Piece] = []
-        for g in members:
-            leaves.extend(_cut(specs[g], piece_specs))
-            owner.extend([g] * (len(piece_specs) - len(owner)))
-        trees.append(sphere_tree(leaves))
+    trees = [sphere_tree([leaf for g in body for leaf in _cut(specs[g], piece_specs)]) for body in bodies]
     end = np.cumsum([len(tree.leaf) for tree in trees], dtype=np.int64)
     start = end - [len(tree.leaf) for tree in trees]
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
@@ -84,7 +75,6 @@ def robot_geometry(
     skips = [tree.skip + first for tree, first in zip(trees, start, strict=True)]
     return RobotGeometry(
         pieces=pack_shapes(piece_specs),
-        owner=np.array(owner, dtype=np.int64),
         sphere=sphere,
         skip=np.concatenate([np.empty(0, np.int64), *skips]),
         leaf=leaf,
@@ -149,11 +139,10 @@ def scene_geometry(
     upper: np.ndarray,
     cell: float = CELL,
     clouds: Sequence[Cloud] = (),
-    reach: float = REACH,
 ) -> SceneGeometry:
     """Return obstacles and clouds with a grid over the box lower..upper (3,) [m].
 
-    Balls outside the grid, or larger than reach, are compared with every item: correct, but slow.
+    Balls outside the grid, or larger than `REACH`, are compared with every item: correct, but slow.
     Raises InvalidInputError for poses, vertices or points that are not finite, and for empty meshes.
     """
     solid = pack_shapes(specs)
@@ -164,11 +153,10 @@ def scene_geometry(
     return SceneGeometry(
         shapes=_with_boxes(solid, clusters),
         bounds=bounds,
-        owner=np.concatenate([np.arange(count), count + clusters.cloud]).astype(np.int64),
         primitive_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
         primitives=clusters.primitives,
-        grid=distance_grid(bounds, lower, upper, cell, reach),
-        reach=float(reach),
+        grid=distance_grid(bounds, lower, upper, cell, REACH),
+        reach=float(REACH),
     )
 
 
@@ -194,7 +182,7 @@ def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
 
 def _with_boxes(shapes: ConvexShapes, clusters: Clusters) -> ConvexShapes:
     """Shapes followed by the boxes of clusters."""
-    n = len(clusters.cloud)
+    n = len(clusters.half)
     if n == 0:
         return shapes
     none = np.zeros(n, dtype=np.int64)

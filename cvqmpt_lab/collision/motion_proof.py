@@ -15,9 +15,7 @@ import numpy as np
 from cvqmpt_lab.collision.exact import CollisionChecker
 
 LONGEST = 0.2  # [rad] half of a stretch that is tried first
-FINEST = (
-    1e-7  # [rad] half of a stretch that is not cut further when it cannot be proven and its middle is free
-)
+FINEST = 1e-7  # [rad] half of a stretch that is not cut further if it cannot be proven and its middle is free
 COARSE = 1e-4  # [rad] the same after the first such stretch, or after MOST_FINE looks at shorter ones
 MOST_FINE = 4000  # about 0.2 s; else sliding along an obstacle at micrometres would take hours
 DOUBTFUL = 0.01

@@ -84,9 +84,7 @@ class _Use(NamedTuple):
     metres: float  # Largest of the positions [m]
     highest: np.ndarray  # (m - 1,) the larger `outside` of a stretch's ends [m, rad]
     between: np.ndarray  # (m - 1,) what may be added inside the stretch [m, rad]
-    flips: (
-        np.ndarray
-    )  # (m - 1,) bool, where the rotation vector may change its sign: `between` is then linear
+    flips: np.ndarray  # (m - 1,) bool, whether the rotation vector may change its sign: `between` is linear
 
 
 def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) -> _Use:

@@ -23,26 +23,15 @@ SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
 ONE_POSE = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
 
 
-def solve_poses(
-    robot: Robot,
-    poses: np.ndarray,
-    rng: np.random.Generator,
-    attempts: int = ATTEMPTS,
-    within: Sequence[TaskSpaceRegion] = (),
-    near: np.ndarray | None = None,
-) -> list[np.ndarray]:
-    """Configurations inside the limits that reach end-effector poses (k, 4, 4): k arrays (<= attempts, n).
-
-    within: regions kept at the same time; that of a held handle puts its door where the hand is.
-    near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
-    """
-    return _solved(robot, poses, first_guesses(robot, rng, len(poses), attempts, near), within)
+def solve_poses(robot: Robot, poses: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+    """Configurations inside the limits that reach end-effector poses (k, 4, 4): k arrays (<= ATTEMPTS, n)."""
+    return _solved(robot, poses, first_guesses(robot, rng, len(poses), ATTEMPTS), ())
 
 
 def _solved(
     robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion]
 ) -> list[np.ndarray]:
-    """The same from first guesses (k, attempts, n), which it overwrites."""
+    """The same from first guesses (k, attempts, n), which it overwrites, inside regions kept at the same time."""
     regions, reached = pose_regions(robot, within), np.empty(guesses.shape[:2], dtype=np.int64)
     reach_poses(
         robot.kinematics,
@@ -66,7 +55,7 @@ def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Region
 def first_guesses(
     robot: Robot, rng: np.random.Generator, poses: int, attempts: int, near: np.ndarray | None = None
 ) -> np.ndarray:
-    """Configurations (poses, attempts, n) that Newton's method starts from; see `solve_poses`."""
+    """Configurations (poses, attempts, n) that Newton's method starts from, anywhere or `NEAR` one (n,)."""
     shape = (poses, attempts, robot.dof)
     if near is None:
         return robot.random_configurations(rng, poses * attempts).reshape(shape)
@@ -85,10 +74,8 @@ class GoalSample:
     @property
     def outcome(self) -> str:
         """Counts of poses that gave no configuration."""
-        return (
-            f"of {self.poses_tried} poses, {self.unreachable} without inverse kinematics, "
-            f"{self.colliding} in collision"
-        )
+        tried = f"of {self.poses_tried} poses, {self.unreachable} without inverse kinematics"
+        return f"{tried}, {self.colliding} in collision"
 
 
 def sample_region(
@@ -103,7 +90,8 @@ def sample_region(
 ) -> GoalSample:
     """Draw up to count collision-free configurations whose end effector lies in a region, one per pose.
 
-    within, near: see `solve_poses`.
+    within: regions kept at the same time; that of a held handle puts its door where the hand is.
+    near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
     """
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0

@@ -90,9 +90,8 @@ def robot_from_source(source: Mapping[str, Any]) -> Robot:
     Either may have an "articulated" object, the json of an `ArticulatedObject`, whose joint then comes last.
     """
     try:
-        arm = json.dumps(
-            {k: v for k, v in mapping(source, WHERE).items() if k != ARTICULATED}, sort_keys=True
-        )
+        alone = {k: v for k, v in mapping(source, WHERE).items() if k != ARTICULATED}
+        arm = json.dumps(alone, sort_keys=True)
         articulated = json.dumps(source[ARTICULATED], sort_keys=True) if ARTICULATED in source else ""
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"problem field 'robot' is malformed: {error}") from error
@@ -112,9 +111,8 @@ def _cached_robot(source: str, packages: str) -> Robot:
 
 @lru_cache(maxsize=8)
 def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
-    return with_articulated_object(
-        robot, from_plain(ArticulatedObject, json.loads(articulated), f"{WHERE}.{ARTICULATED}")
-    )
+    item = from_plain(ArticulatedObject, json.loads(articulated), f"{WHERE}.{ARTICULATED}")
+    return with_articulated_object(robot, item)
 
 
 def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Robot:
@@ -163,9 +161,8 @@ def _built(source: Mapping[str, Any]) -> Robot:
         files=tuple({**read, **meshes}.items()),
     )
     _refuse_far(robot, urdf)
-    left_out = left_out_pairs(
-        model, geometry, links, kinematics, urdf, Path(files.srdf) if files.srdf else None
-    )
+    srdf = Path(files.srdf) if files.srdf else None
+    left_out = left_out_pairs(model, geometry, links, kinematics, urdf, srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
 
@@ -222,11 +219,8 @@ def _refuse_far(robot: Robot, urdf: Urdf) -> None:
         return
     slides = {j.name: max(abs(j.lower), abs(j.upper)) for j in urdf.joints.values() if j.kind == "prismatic"}
     name, slide = max(slides.items(), key=lambda item: item[1], default=("", 0.0))
-    reason = (
-        f"joint {name!r} slides to {slide:g} m"
-        if slide > MOST_REACH / 2
-        else "its links or base lie far away"
-    )
+    slides_far = slide > MOST_REACH / 2
+    reason = f"joint {name!r} slides to {slide:g} m" if slides_far else "its links or base lie far away"
     raise InvalidInputError(
         f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because {reason}: at most {MOST_REACH:g} m; "
         "are all lengths in metres?"

@@ -43,12 +43,8 @@ class ArticulatedObject(Checked):
     lower: float  # [rad or m]
     upper: float  # [rad or m]
     parts: tuple[Part, ...]  # what moves
-    casing: tuple[
-        Part, ...
-    ] = ()  # fixed pieces next to the parts, checked against the robot but not against them
-    may_touch: tuple[
-        tuple[str, str], ...
-    ] = ()  # (robot piece, part) pairs not checked: what holds the handle
+    casing: tuple[Part, ...] = ()  # fixed pieces beside the parts, checked against the robot alone
+    may_touch: tuple[tuple[str, str], ...] = ()  # (robot piece, part) pairs not checked: at the handle
     velocity: Length = 1.0  # limit [rad/s or m/s]; only timing a path needs it
     acceleration: Length = 2.0  # limit [rad/s^2 or m/s^2]; only timing a path needs it
 
@@ -134,9 +130,5 @@ def _add_joint(model: pin.Model, item: ArticulatedObject) -> int:
 
 def _add_pieces(geometry: pin.GeometryModel, parts: Sequence[Part], joint: int) -> list[int]:
     """Append convex hulls carried by a joint; their indices."""
-    return [
-        geometry.addGeometryObject(
-            pin.GeometryObject(part.name, joint, pin.SE3(part.T), convex_hull(part.vertices))
-        )
-        for part in parts
-    ]
+    hulls = ((part.name, joint, pin.SE3(part.T), convex_hull(part.vertices)) for part in parts)
+    return [geometry.addGeometryObject(pin.GeometryObject(*hull)) for hull in hulls]

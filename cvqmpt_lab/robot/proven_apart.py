@@ -98,18 +98,13 @@ def distance_levers(kinematics: Kinematics, first: LinkGeometry, second: LinkGeo
         sides, (first, second), sides[::-1], (second, first), strict=True
     ):
         own, far = _in_link(piece), float(np.linalg.norm(_in_link(other), axis=1).max())
-        far += sum(
-            _step(kinematics, j) for j in others
-        )  # of the other piece from the frame where both chains part
+        far += sum(_step(kinematics, j) for j in others)  # of the other piece from where both chains part
         to_other = {}
         for j in reversed(joints):
-            to_other[j] = (
-                float(np.linalg.norm(np.cross(kinematics.translation[j], kinematics.rotation[j, :, 2]))) + far
-            )
+            off_axis = np.cross(kinematics.translation[j], kinematics.rotation[j, :, 2])
+            to_other[j] = float(np.linalg.norm(off_axis)) + far
             far += _step(kinematics, j)
-        around = float(
-            np.linalg.norm(own[:, :2], axis=1).max()
-        )  # of the own piece around the axis z of joint j
+        around = float(np.linalg.norm(own[:, :2], axis=1).max())  # of the own piece around joint j's axis z
         reach = float(np.linalg.norm(own, axis=1).max())  # of the own piece from the origin of joint j
         for j in joints:
             levers[j] = 1.0 if kinematics.prismatic[j] else min(around, to_other[j])

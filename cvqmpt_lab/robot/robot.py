@@ -19,9 +19,7 @@ from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 
-DIGEST_DECIMALS = (
-    9  # [rad or m]: rounding differences of compilers and processors must not show in the digest
-)
+DIGEST_DECIMALS = 9  # [rad or m]: rounding of compilers and processors must not show in the digest
 
 
 class LeftOut(NamedTuple):
@@ -114,9 +112,7 @@ class Robot(Pictured):
     model: pin.Model
     collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
     end_effector: str  # frame that constraints and goals are about
-    end_effector_link: tuple[
-        int, np.ndarray
-    ]  # pose row that carries the end effector, and T_link_frame (4, 4)
+    end_effector_link: tuple[int, np.ndarray]  # pose row of the end effector's link, T_link_frame (4, 4)
     kinematics: Kinematics  # arrays for the kernels
     links: tuple[LinkGeometry, ...]  # convex pieces
     self_collision_pairs: tuple[tuple[int, int], ...]  # indices into `links` of the pairs that are checked

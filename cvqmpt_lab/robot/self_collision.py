@@ -198,9 +198,8 @@ class _Sampling:
         """Whether each pair of links is closer than a margin [m], in each of the states `rows`."""
         tested = pin.GeometryModel(self.geometry)
         tested.removeAllCollisionPairs()
-        indices = [
-            (k, i, j) for k, (a, b) in enumerate(pairs) for i in self.pieces[a] for j in self.pieces[b]
-        ]
+        pieces = ((k, self.pieces[a], self.pieces[b]) for k, (a, b) in enumerate(pairs))
+        indices = [(k, i, j) for k, first, second in pieces for i in first for j in second]
         for _, i, j in indices:
             tested.addCollisionPair(pin.CollisionPair(i, j))
         owner, first, second = np.array(indices, dtype=int).reshape(-1, 3).T

@@ -44,14 +44,10 @@ class PerJoint:
 class RobotOptions:
     """Options of any robot."""
 
-    srdf: str | None = (
-        None  # file with the link pairs to skip; None: the named arm's own, or found by sampling
-    )
+    srdf: str | None = None  # file with the link pairs to skip; None: the named arm's own, or sampled
     locked: Mapping[str, float] = field(default_factory=dict)  # joints to fix, with their values [rad or m]
     package_dirs: tuple[str, ...] = ()  # folders in which ``package://`` mesh paths are looked up first
-    acceleration_limits: Annotated[FloatArray, PerJoint()] | None = (
-        None  # (n,) or () [rad/s^2 or m/s^2], for timing
-    )
+    acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None  # (n,) or () [rad/s^2 or m/s^2]
     base: Pose | None = None  # (4, 4), pose of the URDF's base link in the world; None: the identity
 
 
@@ -105,9 +101,8 @@ def seen_from(folder: Path, source: Any) -> Any:
     """A robot's source with its relative paths taken from a folder; `read_source` refuses what is no object."""
     if not isinstance(source, Mapping):
         return source
-    files: dict[str, Any] = {
-        name: str(folder / source[name]) for name in ("urdf", "srdf") if isinstance(source.get(name), str)
-    }
+    named = [name for name in ("urdf", "srdf") if isinstance(source.get(name), str)]
+    files: dict[str, Any] = {name: str(folder / source[name]) for name in named}
     folders = source.get("package_dirs")
     if isinstance(folders, list) and all(isinstance(path, str) for path in folders):
         files["package_dirs"] = [str(folder / path) for path in folders]
@@ -182,9 +177,7 @@ ARMS: Mapping[str, NamedArm] = {
 # What the files of a robot hold.
 SETTLED = 1e8  # [ns] after a change of a file, when another one surely gives it another time
 
-_DIGESTS: dict[
-    str, tuple[tuple[int, ...], str]
-] = {}  # by path: times, size and inode, and sha256 of the content
+_DIGESTS: dict[str, tuple[tuple[int, ...], str]] = {}  # by path: times, size, inode; sha256 of the content
 
 
 def content_digest(path: str) -> str:

@@ -346,8 +346,5 @@ READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by
     ".txt": _read_lines,
     ".csv": _read_lines,
 }
-WRITERS: Mapping[str, Callable[[np.ndarray], bytes]] = {
-    ".pcd": _write_pcd,
-    ".ply": _write_ply,
-    ".npy": _write_npy,
-}
+Writer = Callable[[np.ndarray], bytes]
+WRITERS: Mapping[str, Writer] = {".pcd": _write_pcd, ".ply": _write_ply, ".npy": _write_npy}

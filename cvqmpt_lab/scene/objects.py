@@ -106,19 +106,10 @@ class ObjectModel:
 
 
 # YcbChipsCan as scaled in the published experiment code.
-CAN = ObjectModel(
-    shape=Cylinder(radius=0.0373, height=0.242),
-    shape_centre=(-0.005, 0.012, 0.1265),
-    com=(-0.005, 0.010, 0.100),
-)
-CRACKER_BOX = ObjectModel(  # YcbCrackerBox
-    shape=Box((0.0616, 0.1575, 0.2068)),
-    shape_centre=(0.028, -0.011, -0.005),
-    com=(0.030, -0.010, -0.020),
-)
+CAN = ObjectModel(Cylinder(0.0373, 0.242), shape_centre=(-0.005, 0.012, 0.1265), com=(-0.005, 0.010, 0.100))
+# YcbCrackerBox.
+CRACKER_BOX = ObjectModel(Box((0.0616, 0.1575, 0.2068)), (0.028, -0.011, -0.005), com=(0.030, -0.010, -0.020))
 # YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's.
 MUSTARD_BOTTLE = ObjectModel(
-    shape=Box((0.0589, 0.0986, 0.1905)),
-    shape_centre=(0.005, 0.005, 0.0125),
-    com=(0.005, 0.005, -0.015),
+    Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), com=(0.005, 0.005, -0.015)
 )

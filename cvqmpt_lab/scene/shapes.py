@@ -165,14 +165,8 @@ class OccupancyMap(Checked):
 
 
 Measured = PointCloud | OccupancyMap  # what sensors make of a world
-SHAPES = {  # by "type" in json
-    "box": Box,
-    "cylinder": Cylinder,
-    "sphere": Sphere,
-    "convex_mesh": ConvexMesh,
-    "point_cloud": PointCloud,
-    "occupancy_map": OccupancyMap,
-}
+SHAPES = {"box": Box, "cylinder": Cylinder, "sphere": Sphere, "convex_mesh": ConvexMesh}  # by "type" in json
+SHAPES |= {"point_cloud": PointCloud, "occupancy_map": OccupancyMap}
 Shape: TypeAlias = Annotated[
     Box | Cylinder | Sphere | ConvexMesh | PointCloud | OccupancyMap, Tagged("type", SHAPES, SHAPES_BY_PATH)
 ]

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
-from cvqmpt_lab.collision.checker import FREE, first_contact
+from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.inverse_kinematics import (
@@ -122,8 +122,7 @@ def reach_free(
         if newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch) < 0:
             poses.verdict[i] = max(poses.verdict[i], UNREACHABLE)
             continue
-        geometry, _ = first_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin)
-        if geometry != FREE:
+        if in_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin):
             poses.verdict[i] = COLLIDING
             continue
         poses.verdict[i] = REACHED

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.checker import FREE, first_contact
+from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
 from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
@@ -80,15 +80,10 @@ def posed_state_valid(space, q, clearance):
     """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact: the margin)."""
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
-        geometry, _ = first_contact(
-            space.scratch.link_rotation,
-            space.scratch.link_translation,
-            space.robot,
-            space.scene,
-            space.margin + clearance,
-        )
-        if geometry == FREE or clearance > 0.0 or not _near_doubtful(space, q):
-            return geometry == FREE
+        rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
+        free = not in_contact(rotation, translation, space.robot, space.scene, space.margin + clearance)
+        if free or clearance > 0.0 or not _near_doubtful(space, q):
+            return free
     for j in range(q.shape[0]):
         space.query[j] = q[j]
     return call_address(space.check)

@@ -104,9 +104,8 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES)
 
 def write_view(view: View, folder: Path, name: str) -> tuple[Path, Path, Path]:
     """Write name.png, name.intrinsics.json and name.extrinsics.json; their paths are what `read_capture` takes."""
-    image, intrinsics, extrinsics = (
-        folder / f"{name}.{end}" for end in ("png", "intrinsics.json", "extrinsics.json")
-    )
+    ends = ("png", "intrinsics.json", "extrinsics.json")
+    image, intrinsics, extrinsics = (folder / f"{name}.{end}" for end in ends)
     write_depth(image, view.depth)
     write_text(intrinsics, json.dumps(to_plain(view.camera.intrinsics), indent=1) + "\n")
     pose = {"T_world_camera": view.camera.T_world_camera.tolist()}
@@ -144,7 +143,5 @@ def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
         )
 
 
-DEPTH_READERS: Mapping[str, Callable[[bytes, Intrinsics], np.ndarray]] = {
-    ".png": _read_png,
-    ".npy": _read_npy,
-}
+DepthReader = Callable[[bytes, Intrinsics], np.ndarray]
+DEPTH_READERS: Mapping[str, DepthReader] = {".png": _read_png, ".npy": _read_npy}

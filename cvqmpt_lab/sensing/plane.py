@@ -111,8 +111,8 @@ def on_table(points: FloatArray, plane: SupportingPlane, gap: float = GAP) -> np
     return held
 
 
-def box_around(points: FloatArray, plane: SupportingPlane, name: str = "table") -> SceneObject:
-    """A flat box, level with the plane, that holds points (m, 3) [m, world] of it."""
+def box_around(points: FloatArray, plane: SupportingPlane) -> SceneObject:
+    """A flat box "table", level with the plane, that holds points (m, 3) [m, world] of it."""
     axes = _axes(plane.normal, np.array([1.0, 0.0, 0.0]))
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
@@ -120,7 +120,7 @@ def box_around(points: FloatArray, plane: SupportingPlane, name: str = "table") 
     T[:3, :3] = axes.T
     T[:3, 3] = axes.T @ (*(0.5 * (low + high))[:2], plane.offset)
     length, width = np.maximum(high - low, 2.0 * TOLERANCE)[:2].tolist()
-    return SceneObject(name, Box((length, width, 2.0 * TOLERANCE)), T)
+    return SceneObject("table", Box((length, width, 2.0 * TOLERANCE)), T)
 
 
 def _axes(normal: FloatArray, ahead: FloatArray) -> FloatArray:

@@ -48,9 +48,7 @@ class ScanSettings:
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
     robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
     neighbours: int = 2  # points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all
-    plane: Literal["keep", "box", "remove"] = (
-        "keep"  # points of the supporting plane stay, become a box, or go
-    )
+    plane: Literal["keep", "box", "remove"] = "keep"  # what becomes of the points of the supporting plane
 
     def __post_init__(self) -> None:
         if not self.voxel > 0.0:

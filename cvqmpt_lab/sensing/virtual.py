@@ -16,17 +16,14 @@ from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
 from cvqmpt_lab.sensing.render import Ball, Cuboid, Polytope, Solid, SolidCylinder, View, view_of
 
-
-def published_cameras() -> tuple[Camera, ...]:
-    """The four cameras of the published kitchen clouds."""
-    return cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
+PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
     """Where cameras stand and what becomes of what they see; defaults are the published kitchen's."""
 
-    cameras: tuple[Camera, ...] = field(default_factory=published_cameras)
+    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS  # by default those of the published kitchen clouds
     obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
     crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
     voxel: float | None = 0.025  # [m] edge of the grid in whose cells points are averaged; None: no averaging
@@ -106,17 +103,15 @@ def _solid(item: SceneObject) -> Solid:
         case Cylinder(radius, height):
             return SolidCylinder(T, radius, 0.5 * height)
         case ConvexMesh(vertices):
-            return Polytope(T, _faces(vertices), vertices)
+            from scipy.spatial import ConvexHull  # a third of a second to import
+
+            planes = ConvexHull(vertices).equations.round(
+                12
+            )  # each once although it may hold several triangles
+            return Polytope(T, np.unique(planes, axis=0), vertices)
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points as the cloud"
     )
-
-
-def _faces(vertices: FloatArray) -> FloatArray:
-    """Planes (f, 4) of the convex hull of vertices (n, 3), each once although it may hold several triangles."""
-    from scipy.spatial import ConvexHull  # a third of a second to import
-
-    return np.unique(ConvexHull(vertices).equations.round(12), axis=0)
 
 
 def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:

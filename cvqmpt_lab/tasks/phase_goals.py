@@ -138,8 +138,7 @@ def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: i
             found = replace(found, configurations=found.configurations[off <= TOLERANCE])
     if len(found.configurations):
         return PhaseGoals(found.configurations)
-    tried = f"of {found.poses_tried} poses, {found.unreachable} without inverse kinematics"
-    return PhaseGoals(found.configurations, f"no goal: {tried}, {found.colliding} in collision")
+    return PhaseGoals(found.configurations, f"no goal: {found.outcome}")
 
 
 def _checker(problem: PlanningProblem) -> CollisionChecker:

@@ -81,9 +81,7 @@ class Hold(Checked):
     name: Name  # Unique in its task
     articulation: Name  # Which of the scene's
     gripper: Mapping[str, Any]  # Fields of the task's robot that change, e.g. {"finger_opening": 0.0075}
-    may_touch: tuple[
-        tuple[Name, Name], ...
-    ] = ()  # (Robot piece, part of the door) pairs that touch from then on
+    may_touch: tuple[tuple[Name, Name], ...] = ()  # (Robot piece, door part) pairs that touch from then on
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +98,8 @@ class Grasp(Checked):
         carried = Attachment(item.name, item.shape, np.eye(4)).shape
         if self.attachment is None or self.attachment.shape == carried:
             return
-        written, real = (
-            {"type": type(shape).__name__, **vars(shape)} for shape in (self.attachment.shape, carried)
-        )
+        shapes = (self.attachment.shape, carried)
+        written, real = ({"type": type(shape).__name__, **vars(shape)} for shape in shapes)
         what = next(key for key in real if not np.array_equal(written[key], real[key]))
         raise InvalidInputError(
             f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the scene "
@@ -118,14 +115,7 @@ class Release(Checked):
     gripper: Mapping[str, Any]  # As in `Hold`
 
 
-PHASES = {
-    "move": Move,
-    "slide": Slide,
-    "turn": Turn,
-    "hold": Hold,
-    "grasp": Grasp,
-    "release": Release,
-}  # by "kind"
+PHASES = {"move": Move, "slide": Slide, "turn": Turn, "hold": Hold, "grasp": Grasp, "release": Release}
 PlannedPhase: TypeAlias = Move | Slide | Turn
 Phase: TypeAlias = Annotated[PlannedPhase | Hold | Grasp | Release, Tagged("kind", PHASES)]
 
