@@ -62,9 +62,7 @@ class Certificate:
     faults: tuple[Fault, ...]
     max_violation_rad: float  # largest rotation outside the constraint's bounds [rad]
     max_violation_m: float  # largest translation outside them [m]
-    min_clearance_m: (
-        float  # smallest distance found, at up to CLEARANCE_STATES states [m]; nan when not asked for
-    )
+    min_clearance_m: float  # smallest distance at up to CLEARANCE_STATES states [m]; nan when not asked for
     states_checked: int  # configurations at which distances were compared
     min_clearance_pair: str = ""  # the two pieces it is between
     min_clearance_at: float | None = None  # where it was found, as `Fault.at`

@@ -63,7 +63,6 @@ def write_cached(kind: str, name: str, data: bytes) -> None:
         with written_by_owner_only(), replacing(folder / name) as temporary:
             temporary.write_bytes(data)
         with contextlib.suppress(OSError):  # another process may delete them, too
-            for old in sorted(folder.glob(f"*{Path(name).suffix}"), key=lambda p: p.stat().st_mtime_ns)[
-                :-MOST
-            ]:
+            kept = sorted(folder.glob(f"*{Path(name).suffix}"), key=lambda p: p.stat().st_mtime_ns)
+            for old in kept[:-MOST]:
                 old.unlink()

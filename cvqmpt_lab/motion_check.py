@@ -34,13 +34,9 @@ class DryRun(NamedTuple):
     """A certificate that includes faults in time."""
 
     certificate: Certificate  # places of faults are numbers of `states`
-    states: (
-        np.ndarray
-    )  # (m, n) [rad or m] that were certified: of a trajectory, straight pieces within FLAT of it
+    states: np.ndarray  # (m, n) [rad or m] that were certified: of a trajectory, pieces within FLAT of it
     times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
-    apart: float = (
-        0.0  # distance of the robot's points on the motion from those on the straight pieces, at most [m]
-    )
+    apart: float = 0.0  # [m] of the robot's points on the motion from those on straight pieces, at most
     curve: str = ""  # "cubic" or "quintic", the worse one of those judged; "" for a path
 
 
@@ -136,10 +132,8 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
             f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} straight pieces; at most "
             f"{MOST_PIECES} are: certify it in parts; are times in seconds?"
         )
-    cuts = [
-        t + span * np.arange(count) / count
-        for t, span, count in zip(curve.x, spans, pieces.astype(int), strict=False)
-    ]
+    counted = zip(curve.x, spans, pieces.astype(int), strict=False)
+    cuts = [t + span * np.arange(count) / count for t, span, count in counted]
     return np.concatenate([*cuts, curve.x[-1:]])
 
 

@@ -45,9 +45,7 @@ class Placement:
     """A pose as a position, and angles or a quaternion."""
 
     xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position [m]
-    rpy: tuple[float, float, float] | None = (
-        None  # roll, pitch, yaw about the fixed axes x, y, z [rad], as in a URDF
-    )
+    rpy: tuple[float, float, float] | None = None  # roll, pitch, yaw about fixed x, y, z [rad], as in a URDF
     quaternion: tuple[float, float, float, float] | None = None  # x, y, z, w, of length 1
 
     def __post_init__(self) -> None:
@@ -119,9 +117,8 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     square = np.empty((len(m), 4, 4))
     square[:, :3, :3] = m + m.transpose(0, 2, 1)
     square[:, (0, 1, 2), (0, 1, 2)] += (1.0 - trace)[:, None]
-    square[:, :3, 3] = square[:, 3, :3] = np.stack(
-        [m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1
-    )
+    turn = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    square[:, :3, 3] = square[:, 3, :3] = np.stack(turn, axis=1)
     square[:, 3, 3] = 1.0 + trace
     q = square[np.arange(len(m)), np.diagonal(square, axis1=1, axis2=2).argmax(axis=1)]
     q *= np.where(q[:, 3:] < 0.0, -1.0, 1.0)

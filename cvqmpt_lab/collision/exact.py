@@ -221,9 +221,8 @@ class CollisionChecker:
     def _world(self, inflation: float) -> _World:
         """The obstacles in boxes that are inflated [m]."""
         if inflation not in self._worlds:
-            objects = [
-                coal.CollisionObject(item.shape, transform(item.T_parent_shape)) for item in self._obstacles
-            ]
+            placed = ((item.shape, transform(item.T_parent_shape)) for item in self._obstacles)
+            objects = [coal.CollisionObject(*item) for item in placed]
             more = np.full(3, inflation)
             for item in objects:
                 item.getAABB().expand(more)
@@ -250,10 +249,8 @@ def _forget_guesses(results: pin.GeometryData) -> None:
 
     The last digits of distances, and verdicts on contact, would then depend on what was asked before.
     """
-    kinds = (
-        (results.collisionRequests, coal.CollisionRequest),
-        (results.distanceRequests, coal.DistanceRequest),
-    )
+    hits, distances = results.collisionRequests, results.distanceRequests
+    kinds = (hits, coal.CollisionRequest), (distances, coal.DistanceRequest)
     for requests, kind in kinds:
         for k in range(len(requests)):
             requests[k] = kind()
@@ -310,10 +307,8 @@ def reach_with(robot: Robot, attachments: Sequence[Attachment]) -> float:
 
     InvalidInputError, naming what is too long or too far away, when that is more than LONGEST_REACH.
     """
-    carried = {
-        f"attachment {a.name!r}": float(np.linalg.norm(a.T_hand_object[:3, 3])) + bounding_radius(a.shape)
-        for a in attachments
-    }
+    middles = ((a, float(np.linalg.norm(a.T_hand_object[:3, 3]))) for a in attachments)
+    carried = {f"attachment {a.name!r}": far + bounding_radius(a.shape) for a, far in middles}
     for name, length in {f"robot {robot.name}": robot.reach, **carried}.items():
         if not length <= LONGEST_REACH:
             raise InvalidInputError(

@@ -21,9 +21,8 @@ class Sweep:
         for k in range(1, joints):
             support[k, [robot.model.idx_vs[i] for i in robot.model.supports[k] if i > 0]] = True
             balls[k] = _ball_around([item for item in objects if item.parentJoint == k])
-        pairs = [
-            (objects[p.first].parentJoint, objects[p.second].parentJoint) for p in geometry.collisionPairs
-        ]
+        joints = [item.parentJoint for item in objects]
+        pairs = [(joints[p.first], joints[p.second]) for p in geometry.collisionPairs]
         unique, pair = np.unique(np.array(pairs, dtype=int).reshape(-1, 2), axis=0, return_inverse=True)
         a, b = unique.T
         alone = np.array(links, dtype=int)
@@ -85,9 +84,8 @@ class _Motions:
         around = 2.0 * np.cumsum(turned, axis=2) - turned
         way, second = np.zeros(furthest.shape), np.zeros(furthest.shape)
         for j in range(self._moving.shape[1] - 1, -1, -1):
-            moved = (
-                most[..., j] * self._moving[:, j] * (speeds[..., j] + turns[..., j] * self._radii[:, 0] + way)
-            )
+            fastest = speeds[..., j] + turns[..., j] * self._radii[:, 0] + way
+            moved = most[..., j] * self._moving[:, j] * fastest
             second += 0.5 * around[..., j] * moved
             way += moved
         return furthest + second

@@ -70,9 +70,8 @@ def _walk(
         batch = [ahead.popleft() for _ in range(min(BATCH, len(ahead)))]
         middles, hulls = line.stretches(np.array(batch))
         left: list[tuple[float, float]] = []
-        for (begin, half), middle, hull, free in zip(
-            batch, middles, hulls, clear(middles, hulls), strict=True
-        ):
+        judged = zip(batch, middles, hulls, clear(middles, hulls), strict=True)
+        for (begin, half), middle, hull, free in judged:
             looks += 1
             fine += half < COARSE
             if not free:
@@ -116,9 +115,8 @@ class _Polyline:
         marks = stretches[:, :1] + stretches[:, 1:] * (0.0, 1.0, 2.0)
         rows = np.clip(np.searchsorted(along, marks, side="right") - 1, 0, len(along) - 2)
         share = (marks - along[rows]) / (along[rows + 1] - along[rows])
-        begins, middles, ends = np.moveaxis(
-            states[rows] + share[..., None] * (states[rows + 1] - states[rows]), 1, 0
-        )
+        along = states[rows] + share[..., None] * (states[rows + 1] - states[rows])
+        begins, middles, ends = np.moveaxis(along, 1, 0)
         first, last = rows[:, 0] + 1, rows[:, 2]
         between = first[:, None] + np.arange(max(0, int((last - first).max()) + 1))
         inside = between <= last[:, None]

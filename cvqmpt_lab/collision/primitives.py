@@ -37,9 +37,8 @@ def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
     elif spec.kind == CYLINDER:
         turn = 2.0 * np.pi * np.arange(_PRISM_SIDES) / _PRISM_SIDES
         radius = spec.size[0] / np.cos(np.pi / _PRISM_SIDES)
-        rim = np.column_stack(
-            [radius * np.cos(turn), radius * np.sin(turn), np.full(_PRISM_SIDES, 0.5 * spec.size[2])]
-        )
+        half = np.full(_PRISM_SIDES, 0.5 * spec.size[2])
+        rim = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), half])
         points = np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
     else:
         points = np.zeros((1, 3))

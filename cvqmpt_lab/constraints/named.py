@@ -93,13 +93,8 @@ class Near:
         return _region(pose(self.at[:3, 3]), turned, bounds)
 
 
-NAMED: Mapping[str, Any] = {
-    "upright": Upright,
-    "fixed-orientation": FixedOrientation,
-    "plane": Plane,
-    "line": Line,
-    "pose": Near,
-}
+BY_POSITION = {"plane": Plane, "line": Line, "pose": Near}
+NAMED: Mapping[str, Any] = {"upright": Upright, "fixed-orientation": FixedOrientation, **BY_POSITION}
 """What may stand for a region, `{"upright": {...}}` or `{"upright": 0.1}`, a value of its first field."""
 
 
@@ -170,9 +165,8 @@ class RegionForm:
         for name, kind in NAMED.items():
             first = next(iter(field_kinds(kind).values()))
             contents = {name: {"anyOf": [of(first), of(kind)]}, COMMENT: {}}
-            regions.append(
-                {"type": "object", "properties": contents, "required": [name], "additionalProperties": False}
-            )
+            form = {"type": "object", "properties": contents, "required": [name]}
+            regions.append({**form, "additionalProperties": False})
         return {"anyOf": regions}
 
 

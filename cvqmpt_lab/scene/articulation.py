@@ -39,15 +39,13 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     joint = scene.articulation(name)
     movers = [scene[part] for part in joint.moves]
     moved = {part for item in scene.articulations for part in item.moves}
-    fixed = [
-        item for item in scene.obstacles if item.name not in moved and not isinstance(item.shape, Measured)
-    ]
+    standing = (item for item in scene.obstacles if item.name not in moved)
+    fixed = [item for item in standing if not isinstance(item.shape, Measured)]
     casing = [item for item in fixed if _rests_against(joint, movers, item)]
     T_joint_world = np.linalg.inv(joint.T_world_joint @ joint.motion(joint.value))
     heights = [(T_joint_world @ item.T_world_object)[2, 3] for item in movers]
-    T_world_joint = joint.T_world_joint @ pose(
-        (0.0, 0.0, float(np.mean(heights)))
-    )  # its links stay close to it
+    middle = pose((0.0, 0.0, float(np.mean(heights))))
+    T_world_joint = joint.T_world_joint @ middle  # its links stay close to it
     T_joint_world = np.linalg.inv(T_world_joint @ joint.motion(joint.value))
     articulated = ArticulatedObject(
         name=name,

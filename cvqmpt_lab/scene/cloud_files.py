@@ -26,9 +26,8 @@ EXPANSION = 300  # bytes at most that LZF makes of one
 FARTHEST = 1000.0  # [m] that a coordinate may be from the origin
 ROOM = 50.0  # [m] within which at least half of all points must lie
 SPECK = 1e-3  # [m] that the whole must exceed in some direction
-PCD_TYPES = {("F", 4): "f4", ("F", 8): "f8"} | {
-    (kind, size): f"{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)
-}
+WHOLE = {(kind, size): f"{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)}
+PCD_TYPES = {("F", 4): "f4", ("F", 8): "f8"} | WHOLE
 PLY_TYPES = {
     **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
     **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
@@ -212,9 +211,8 @@ def _pcd_columns(header: Mapping[str, Sequence[str]]) -> list[Column]:
         if (kind, size) not in PCD_TYPES:
             raise InvalidInputError(f"its header's TYPE {kind} of SIZE {size} does not exist")
     described = zip(fields, kinds, sizes, counts, strict=True)
-    return [
-        Column(name, PCD_TYPES[kind, size]) for name, kind, size, count in described for _ in range(count)
-    ]
+    columns = ((Column(name, PCD_TYPES[kind, size]), count) for name, kind, size, count in described)
+    return [column for column, count in columns for _ in range(count)]
 
 
 def _unpacked(body: bytes, columns: Sequence[Column], count: int) -> np.ndarray:

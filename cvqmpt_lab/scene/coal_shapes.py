@@ -33,6 +33,5 @@ def shape_distance(
 ) -> float:
     """Signed distance [m] of two shapes of `coal_shape`; negative where they overlap."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    return float(
-        coal.distance(first, transform(T_world_first), second, transform(T_world_second), request, result)
-    )
+    T_first, T_second = transform(T_world_first), transform(T_world_second)
+    return float(coal.distance(first, T_first, second, T_second, request, result))

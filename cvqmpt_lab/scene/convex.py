@@ -56,9 +56,8 @@ class FilledCells:
         self._ends = [np.ascontiguousarray(end(axis=1).T[1:]) for end in (triangles.min, triangles.max)]
         if self._closed:  # correct the cells' volume by the mesh's own
             cells_volume = self._share.sum() * self._cell**3
-            self._share = self._share * float(
-                np.clip(abs(as_mesh(triangles).volume) / cells_volume, 0.5, 1.5)
-            )
+            ratio = np.clip(abs(as_mesh(triangles).volume) / cells_volume, 0.5, 1.5)
+            self._share = self._share * float(ratio)
 
     def volume(self, low: FloatArray, high: FloatArray) -> float:
         """Solid volume [m^3] between two corners (3,), about."""
@@ -221,9 +220,8 @@ def _clipped(triangles: FloatArray, axis: int, at: float, sign: float) -> FloatA
     normal, origin = np.zeros(3), np.zeros(3)
     normal[axis], origin[axis] = sign, at
     faces = np.arange(3 * len(triangles)).reshape(-1, 3)
-    vertices, faces, *_ = trimesh.intersections.slice_faces_plane(
-        triangles.reshape(-1, 3), faces, normal, origin
-    )
+    corners = triangles.reshape(-1, 3)
+    vertices, faces, *_ = trimesh.intersections.slice_faces_plane(corners, faces, normal, origin)
     return np.asarray(vertices)[np.asarray(faces, dtype=int)].reshape(-1, 3, 3)
 
 

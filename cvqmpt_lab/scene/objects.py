@@ -32,9 +32,8 @@ def handle(
     pieces = [bar]
     for end, sign in zip(ends, (-1, +1), strict=True):
         middle = centre + sign * 0.5 * p.post_spacing * along + (0.5 * p.post_length, 0.0, 0.0)
-        pieces.append(
-            cylinder(f"{name}/handle_post_{end}", 0.5 * p.post_diameter, p.post_length, middle, "x")
-        )
+        post = f"{name}/handle_post_{end}"
+        pieces.append(cylinder(post, 0.5 * p.post_diameter, p.post_length, middle, "x"))
     return pieces
 
 
@@ -110,6 +109,4 @@ CAN = ObjectModel(Cylinder(0.0373, 0.242), shape_centre=(-0.005, 0.012, 0.1265),
 # YcbCrackerBox.
 CRACKER_BOX = ObjectModel(Box((0.0616, 0.1575, 0.2068)), (0.028, -0.011, -0.005), com=(0.030, -0.010, -0.020))
 # YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's.
-MUSTARD_BOTTLE = ObjectModel(
-    Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), com=(0.005, 0.005, -0.015)
-)
+MUSTARD_BOTTLE = ObjectModel(Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), (0.005, 0.005, -0.015))

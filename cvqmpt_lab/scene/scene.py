@@ -138,10 +138,10 @@ class Scene(Checked, Pictured):
     def without(self, *names: str) -> "Scene":
         """Return a scene without these objects; articulations that then move nothing go too."""
         gone = {self[name].name for name in names}
-        joints = (
-            replace(item, moves=tuple(name for name in item.moves if name not in gone))
-            for item in self.articulations
+        moves = (
+            (item, tuple(name for name in item.moves if name not in gone)) for item in self.articulations
         )
+        joints = (replace(item, moves=left) for item, left in moves)
         return replace(
             self,
             objects=tuple(item for item in self.objects if item.name not in gone),

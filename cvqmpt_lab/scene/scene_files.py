@@ -84,9 +84,8 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
         name = item.get("name")
         names = [name] if len(shapes) == 1 else [f"{name}/{piece}" for piece in range(len(shapes))]
         pieces[str(name)] = names
-        found.extend(
-            {**item, "name": name, "shape": shape} for name, shape in zip(names, shapes, strict=True)
-        )
+        parts = zip(names, shapes, strict=True)
+        found.extend({**item, "name": name, "shape": shape} for name, shape in parts)
     return found, pieces
 
 

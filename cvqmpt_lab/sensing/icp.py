@@ -42,9 +42,8 @@ class Surface:
 
 def arm_surface(arm: Arm, count: int, rng: np.random.Generator) -> Surface:
     """About `count` samples of the hulls that collision checking takes the links for, without those inside others."""
-    (rotations,), (translations,) = link_poses(
-        arm.robot.kinematics, np.ascontiguousarray(arm.q, dtype=float)[None]
-    )
+    q = np.ascontiguousarray(arm.q, dtype=float)
+    (rotations,), (translations,) = link_poses(arm.robot.kinematics, q[None])
     links = arm.robot.links
     frames = [part.T_link_geometry for part in links]
     hulls = [ConvexHull(p.vertices @ T[:3, :3].T + T[:3, 3]) for p, T in zip(links, frames, strict=True)]

@@ -105,9 +105,7 @@ def _solid(item: SceneObject) -> Solid:
         case ConvexMesh(vertices):
             from scipy.spatial import ConvexHull  # a third of a second to import
 
-            planes = ConvexHull(vertices).equations.round(
-                12
-            )  # each once although it may hold several triangles
+            planes = ConvexHull(vertices).equations.round(12)  # of triangles, several of which may share one
             return Polytope(T, np.unique(planes, axis=0), vertices)
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points as the cloud"

@@ -110,10 +110,8 @@ def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
     bound = np.maximum(slowness, FLAT * np.median(slowness)) ** -2
     typical = 1.0 / np.median((slope / limits.acceleration).max(axis=1))
     scale = min(np.median(bound), 2.0 * curve.length * typical)
-    rows = [
-        _acceleration_rows(curve, limits.acceleration, bound),
-        _velocity_rows(curve, limits.velocity, bound),
-    ]
+    faster = _velocity_rows(curve, limits.velocity, bound)
+    rows = [_acceleration_rows(curve, limits.acceleration, bound), faster]
     rows = scale * sparse.vstack(rows, format="csr")
     bound = bound / scale
     bound[[0, -1]] = 0.0
