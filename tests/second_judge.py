@@ -38,10 +38,7 @@ class Body:
     def __init__(self, name, group, triangles):
         mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
         self.name, self.group = name, group
-        self.triangles, self.points = (
-            np.array(mesh.triangles),
-            np.array(mesh.vertices),
-        )  # equal corners are one
+        self.triangles, self.points = np.array(mesh.triangles), np.array(mesh.vertices)  # each corner once
         parts = trimesh.graph.connected_component_labels(mesh.edges, node_count=len(self.points))
         self.one_of_each = self.points[np.unique(parts, return_index=True)[1]]  # a corner of each part
         self.box = corners_around(self.points)
@@ -67,10 +64,8 @@ class Body:
 
     def distances(self, points):
         """Of points (k, 3) to the surface, (k,)."""
-        near = [
-            trimesh.triangles.closest_point(self.triangles, np.tile(p, (len(self.triangles), 1)))
-            for p in points
-        ]
+        count = len(self.triangles)
+        near = [trimesh.triangles.closest_point(self.triangles, np.tile(p, (count, 1))) for p in points]
         return np.array([np.linalg.norm(x - p, axis=1).min() for x, p in zip(near, points, strict=True)])
 
 
@@ -104,9 +99,8 @@ def touching(a, b, T):
     if isinstance(b, Balls):
         return touching(b, a, np.linalg.inv(T))
     if isinstance(a, Body):
-        return (
-            fcl.collide(a.placed(np.eye(4)), b.placed(T), fcl.CollisionRequest(), fcl.CollisionResult()) > 0
-        )
+        request, result = fcl.CollisionRequest(), fcl.CollisionResult()
+        return fcl.collide(a.placed(np.eye(4)), b.placed(T), request, result) > 0
     data = fcl.CollisionData()
     a.manager.collide(b.placed(T), data, fcl.defaultCollisionCallback)
     return data.result.is_collision
@@ -132,14 +126,11 @@ def depth(a, b, T):
         return b.radius - (np.where(a.holds(centres), -1.0, 1.0) * a.distances(centres)).min()
     deepest = [0.0]
     for one, other, M in ((a, b, T), (b, a, np.linalg.inv(T))):
-        some = moved(
-            M, np.concatenate([other.points[:: 1 + len(other.points) // CORNERS], other.one_of_each])
-        )
+        corners = other.points[:: 1 + len(other.points) // CORNERS]
+        some = moved(M, np.concatenate([corners, other.one_of_each]))
         deepest += list(one.distances(some[one.holds(some)]))
-    request, result = (
-        fcl.CollisionRequest(num_max_contacts=CONTACTS, enable_contact=True),
-        fcl.CollisionResult(),
-    )
+    request = fcl.CollisionRequest(num_max_contacts=CONTACTS, enable_contact=True)
+    result = fcl.CollisionResult()
     if fcl.collide(a.placed(np.eye(4)), b.placed(T), request, result):
         first, second = np.array([(contact.b1, contact.b2) for contact in result.contacts]).T
         deepest.append(triangle_depths(a.triangles[first], moved(T, b.triangles[second])).max())
@@ -263,11 +254,8 @@ class Arm:
                 group, T = len(self.joints), np.eye(4)
             else:
                 T = T @ pose_of(joint)
-                T = (
-                    T
-                    if joint.get("type") == "fixed"
-                    else T @ motion(joint, held_value(joint, locked, joints))
-                )
+                if joint.get("type") != "fixed":
+                    T = T @ motion(joint, held_value(joint, locked, joints))
             links[joint.find("child").get("link")] = group, T
         self.hand, self.bodies = links[robot["end_effector"]], []
         for link in root.findall("link"):
@@ -300,9 +288,8 @@ class Arm:
         """Bounds (n,) on how far a point of bodies moves with each coordinate [m/rad or m/m] between states (k, n)."""
         outer, speeds = np.zeros(len(self.joints) + 1), np.ones(len(self.joints))
         for body in bodies:
-            outer[body.group] = max(
-                outer[body.group], np.linalg.norm(body.points, axis=1).max() + body.radius
-            )
+            size = np.linalg.norm(body.points, axis=1).max() + body.radius
+            outer[body.group] = max(outer[body.group], size)
         for k in range(len(self.joints), 0, -1):
             before, T, joint = self.joints[k - 1]
             slides = joint.get("type") == "prismatic"

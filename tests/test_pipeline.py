@@ -35,10 +35,8 @@ def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
 @pytest.mark.parametrize("planner", ["birrt", "roadmap-cvq"])
 def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
     plain = solve(problem, planner, ENOUGH, seed=3, clearance=False)
-    better, again = (
-        solve(problem, planner, ENOUGH, seed=3, clearance=False, optimize=Budget(iterations=60))
-        for _ in range(2)
-    )
+    how = {"seed": 3, "clearance": False, "optimize": Budget(iterations=60)}
+    better, again = (solve(problem, planner, ENOUGH, **how) for _ in range(2))
     np.testing.assert_array_equal(better.simplified.path.states, again.simplified.path.states)
     made = better.improvement
     lengths = [length for _, length in made.lengths]
@@ -50,9 +48,8 @@ def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
 
 
 def test_seconds_left_are_used_and_hardly_more(problem):
-    made = solve(
-        problem, "birrt", Budget(seconds=60.0), seed=3, clearance=False, optimize=Budget(seconds=0.2)
-    ).improvement
+    how = {"seed": 3, "clearance": False, "optimize": Budget(seconds=0.2)}
+    made = solve(problem, "birrt", Budget(seconds=60.0), **how).improvement
     assert 0.2 <= made.seconds < 1.0
 
 

@@ -38,9 +38,8 @@ def script(tmp_path_factory):
     ],
 )
 def test_bash_offers(script, words, offered):
-    done = subprocess.run(
-        ["bash", "-c", ASK, "bash", script, "cvqmpt", *words], capture_output=True, text=True
-    )
+    asked = ["bash", "-c", ASK, "bash", script, "cvqmpt", *words]
+    done = subprocess.run(asked, capture_output=True, text=True)
     assert set(done.stdout.split()) == offered, done.stderr
 
 

@@ -86,7 +86,6 @@ def test_every_command_has_help_with_examples(capsys, command):
 
 
 def test_as_a_process_an_error_is_one_line_without_traceback():
-    done = subprocess.run(
-        [sys.executable, "-m", "cli.main", "plan", "nope"], cwd=ROOT, capture_output=True, text=True
-    )
+    words = [sys.executable, "-m", "cli.main", "plan", "nope"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1

@@ -33,16 +33,8 @@ def info(capsys, *words):
 def test_published_folders_are_converted_and_predict(panda, published, published_states, tmp_path, capsys):
     huge = published_states["decoder_state"] | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
     dictionary_dir, ar_dir = published(decoder_state=huge)
-    words = [
-        "model",
-        "import",
-        "--dictionary-dir",
-        dictionary_dir,
-        "--ar-dir",
-        ar_dir,
-        "--out",
-        tmp_path / "ours",
-    ]
+    words = ["model", "import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir]
+    words += ["--out", tmp_path / "ours"]
     assert "mu.0.bias has NaN or infinite values" in refused(capsys, *words)
     assert {path.name for path in tmp_path.iterdir()} == {"dictionary", "ar"}
     dictionary_dir, ar_dir = published()

@@ -58,9 +58,8 @@ def test_amounts_of_everything_are_fixed(capsys, tmp_path):
 def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     capsys, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(
-        everything, "SUITES", {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
-    )
+    suites = {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
+    monkeypatch.setattr(everything, "SUITES", suites)
     monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})
     words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0

@@ -45,9 +45,8 @@ def mine():
 def test_the_schemas_that_ship_are_those_of_the_code(name):
     schema = schema_of(KINDS[name])
     Draft202012Validator.check_schema(schema)
-    assert json.loads((FOLDER / f"{name}.schema.json").read_text()) == schema, (
-        "python -m tests.codec.test_json_schema"
-    )
+    shipped = json.loads((FOLDER / f"{name}.schema.json").read_text())
+    assert shipped == schema, "python -m tests.codec.test_json_schema"
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -78,9 +77,8 @@ def test_what_the_code_refuses_is_marked(mine, change):
 
 
 def test_the_example_of_the_docs_is_valid_and_can_be_planned(request):
-    text = (
-        (request.config.rootpath / "docs" / "your_own.md").read_text().split("```json\n")[1].split("```")[0]
-    )
+    page = (request.config.rootpath / "docs" / "your_own.md").read_text()
+    text = page.split("```json\n")[1].split("```")[0]
     assert errors("problem", json.loads(text)) == []
     check_problem(PlanningProblem.from_dict(json.loads(text)))
 

@@ -42,9 +42,8 @@ def near_contact(checker, rng, count):
         inside = checker.in_collision_batch(middle)[:, None]
         free, colliding = np.where(inside, free, middle), np.where(inside, middle, colliding)
     noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal((n, AROUND, robot.dof))
-    return np.clip(free[:, None] + noise / np.sqrt(robot.dof), robot.lower, robot.upper).reshape(
-        -1, robot.dof
-    )
+    states = free[:, None] + noise / np.sqrt(robot.dof)
+    return np.clip(states, robot.lower, robot.upper).reshape(-1, robot.dof)
 
 
 def compare(robot, scene, count, attachments=(), margin=0.0, around=None):
@@ -71,13 +70,8 @@ def with_one_of_each():
     corners = np.random.default_rng(1).uniform(-0.15, 0.15, (30, 3))
     shapes = (Box((0.1, 0.3, 0.2)), Cylinder(0.08, 0.4), Sphere(0.12), ConvexMesh(corners))
     places = ((0.4, 0.3, 0.4), (0.4, -0.4, 0.6), (-0.4, 0.3, 0.5), (0.3, 0.0, 0.9))
-    return Scene(
-        "one of each",
-        tuple(
-            SceneObject(f"object_{i}", s, pose(p) @ T)
-            for i, (s, p) in enumerate(zip(shapes, places, strict=True))
-        ),
-    )
+    placed = enumerate(zip(shapes, places, strict=True))
+    return Scene("each", tuple(SceneObject(f"object_{i}", s, pose(p) @ T) for i, (s, p) in placed))
 
 
 TOOL = pose((0.02, -0.03, 0.15), 0.4)

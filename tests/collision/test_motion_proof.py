@@ -47,9 +47,8 @@ def test_proofs_and_samples_agree(panda, open_kitchen, seed):
 def test_a_cloud_is_proven_like_any_obstacle(panda):
     down = np.array([HOME, HOME + (0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0)])
     points = panda.pose(down[1])[:3, 3] + np.random.default_rng(0).uniform(-0.02, 0.02, (2000, 3))
-    checker = CollisionChecker(
-        panda, Scene("cloud", (SceneObject("cloud", PointCloud(points, 0.002), np.eye(4)),))
-    )
+    scene = Scene("cloud", (SceneObject("cloud", PointCloud(points, 0.002), np.eye(4)),))
+    checker = CollisionChecker(panda, scene)
     assert not checker.in_collision(HOME) and prove_free(checker, down).colliding is not None
     aside = np.array([HOME, HOME + 0.5 * np.eye(7)[0]])
     assert prove_free(checker, aside).colliding is None and prove_free(checker, aside).unproven is None

@@ -77,9 +77,8 @@ def test_pairs_agree_with_coal(kind_a, kind_b):
             result = coal.DistanceResult()
             apart = coal.distance(*objects[0], *objects[1], coal.DistanceRequest(), result)
             if apart > 0.0:
-                shift = (result.getNearestPoint1() - result.getNearestPoint2()) * (
-                    1.0 - rng.uniform(-1e-3, 1e-3) / apart
-                )
+                gap = result.getNearestPoint1() - result.getNearestPoint2()
+                shift = gap * (1.0 - rng.uniform(-1e-3, 1e-3) / apart)
                 b = b._replace(T_owner_shape=pose(t=shift) @ b.T_owner_shape)
                 objects = objects[0], coal_object(b)
         exact = coal_distance(*objects)
@@ -124,17 +123,14 @@ def test_balls_and_pieces_cover_the_shape(kind):
         apart = np.linalg.norm(samples[:, None] - leaves[None, :, :3], axis=2) - leaves[None, :, 3]
         assert apart.min(axis=1).max() <= 0.0
         if inflation == 0.0:
-            in_piece = [
-                np.max(ConvexHull(part).equations @ np.c_[samples, np.ones(2000)].T, axis=0) for part in parts
-            ]
+            homogeneous = np.c_[samples, np.ones(2000)].T
+            in_piece = [np.max(ConvexHull(part).equations @ homogeneous, axis=0) for part in parts]
             assert np.min(in_piece, axis=0).max() < 1e-9
         for node, (sphere, skip) in enumerate(zip(tree.sphere, tree.skip, strict=True)):
             assert node < skip <= len(tree.skip)
             below = [parts[k] for k in tree.leaf[node:skip] if k >= 0]
-            assert (
-                np.linalg.norm(np.concatenate(below) - sphere[:3], axis=1).max() + inflation
-                <= sphere[3] + 1e-12
-            )
+            furthest = np.linalg.norm(np.concatenate(below) - sphere[:3], axis=1).max()
+            assert furthest + inflation <= sphere[3] + 1e-12
 
 
 @pytest.mark.parametrize(

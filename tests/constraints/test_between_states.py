@@ -24,9 +24,8 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
     robot = slider_arm if kind == "slider" else panda
     rng = np.random.default_rng(0)
     for _ in range(25):
-        states = robot.random_configurations(rng, 1) + np.cumsum(
-            rng.normal(0.0, 0.03, (4, robot.dof)), axis=0
-        )
+        steps = rng.normal(0.0, 0.03, (4, robot.dof))
+        states = robot.random_configurations(rng, 1) + np.cumsum(steps, axis=0)
         region = upright()
         if kind != "upright":
             region = TaskSpaceRegion(robot.pose(states[0]), np.eye(4), np.array([(-0.02, 0.02)] * 6))

@@ -81,9 +81,8 @@ def test_goals_have_the_door_where_the_hand_takes_it(door):
     assert len(door.goals) == 20
     np.testing.assert_allclose(door.goals[:, 7], OPEN, atol=1e-5)
     np.testing.assert_allclose(door.start[7], 0.0, atol=1e-5)
-    free = sample_region(
-        door.robot, door.goal_region, door.collision_checker(), np.random.default_rng(0), count=5
-    )
+    rng, checker = np.random.default_rng(0), door.collision_checker()
+    free = sample_region(door.robot, door.goal_region, checker, rng, count=5)
     assert np.abs(free.configurations[:, 7] - OPEN).max() > 0.1
 
 

@@ -91,16 +91,10 @@ def test_a_pose_may_leave_the_yaw_free():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (
-            {"uprigth": 0.1},
-            "constraint.uprigth is unknown; did you mean 'upright'?; fields: T0_w, Tw_e, Bw, base, or",
-        ),
+        ({"uprigth": 0.1}, "constraint.uprigth is unknown; did you mean 'upright'?; fields: T0_w, Tw_e, Bw,"),
         ({"upright": "0.1"}, "constraint.upright.tilt is '0.1'; it must be a finite float"),
         ({"upright": -0.1}, "constraint.upright.tilt is -0.1; it must be from 0 to 2 pi"),
-        (
-            {"upright": {"tilt": 0.1, "axis": "w"}},
-            "unknown constraint.upright.axis 'w'; valid choices: x, -x",
-        ),
+        ({"upright": {"axis": "w"}}, "unknown constraint.upright.axis 'w'; valid choices: x, -x"),
         ({"upright": 0.1, "plane": {}}, "constraint has upright, plane; a region by name stands alone"),
         ({"plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}, "constraint.plane: the direction is 0, 0, 0"),
         ({"pose": {"at": 5}}, "constraint.pose.at has shape ()"),

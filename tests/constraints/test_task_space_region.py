@@ -118,9 +118,8 @@ def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
         columns = np.maximum(columns, np.abs(expected).max(axis=0, initial=0.0))
         active = (x < lower) | (x > upper)
         expected = np.where(active[:, None], expected, 0.0)
-        np.testing.assert_allclose(
-            constraint.residual_and_jacobian(q)[1][smooth], expected[smooth], atol=2e-6
-        )
+        found = constraint.residual_and_jacobian(q)[1]
+        np.testing.assert_allclose(found[smooth], expected[smooth], atol=2e-6)
         compared += smooth.sum()
     assert compared > 800 and columns.min() > 0.1, "every joint moves the hand, or the frame of the region"
 
@@ -175,9 +174,8 @@ def test_sampled_poses_lie_inside():
     rng = np.random.default_rng(8)
     for _ in range(50):
         centre, width = rng.uniform(-0.8, 0.8, 6), rng.uniform(0, 0.8, 6)
-        region = TaskSpaceRegion(
-            random_pose(rng), random_pose(rng), np.stack([centre - width, centre + width], axis=1)
-        )
+        bounds = np.stack([centre - width, centre + width], axis=1)
+        region = TaskSpaceRegion(random_pose(rng), random_pose(rng), bounds)
         x = np.array([displacement(region, T) for T in region.sample_poses(rng, 20)])
         assert (x >= region.Bw[:, 0] - 1e-9).all() and (x <= region.Bw[:, 1] + 1e-9).all()
         assert (np.ptp(x, axis=0) >= 0.5 * np.ptp(region.Bw, axis=1)).all()

@@ -24,9 +24,8 @@ ROWS = (
 def database(tmp_path):
     """What the script makes of ROWS."""
     session = {"platform": "Linux-6 of a lab", "date_utc": "2026-01-02T03:04:05+00:00", "versions": {}}
-    with RunStore.open(
-        tmp_path / "run", {"suite": "place", "cutoff_s": 10.0, "iterations": None}, session
-    ) as store:
+    configuration = {"suite": "place", "cutoff_s": 10.0, "iterations": None}
+    with RunStore.open(tmp_path / "run", configuration, session) as store:
         store.append(ROWS)
     assert main(["table", str(tmp_path / "run"), "--ompl-log", str(tmp_path / "run.log")]) == 0
     subprocess.run([SCRIPT, "-d", tmp_path / "run.db", tmp_path / "run.log"], check=True, capture_output=True)

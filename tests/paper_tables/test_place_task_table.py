@@ -58,14 +58,11 @@ def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
         for name, interval in one.measured.items():
             same = five.measured[name]
             assert same.n == interval.n
-            assert (same.estimate, same.low, same.high) == pytest.approx(
-                (interval.estimate, interval.low, interval.high)
-            ), name
-    verdicts = (
-        judged(ABOUT_PLACE_TASK, [*rows, *(replace(row, planner="cvq-mpt") for row in rows)], PAPER)
-        for rows in (once, five_times)
-    )
-    assert next(verdicts) == next(verdicts) != ()
+            bounds = interval.estimate, interval.low, interval.high
+            assert (same.estimate, same.low, same.high) == pytest.approx(bounds), name
+    doubled = ([*rows, *(replace(row, planner="cvq-mpt") for row in rows)] for rows in (once, five_times))
+    one, five = (judged(ABOUT_PLACE_TASK, rows, PAPER) for rows in doubled)
+    assert one == five != ()
 
 
 @pytest.mark.parametrize("rows", [[], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]])

@@ -34,14 +34,8 @@ def page(results):
 
 
 def test_a_report_holds_verdicts_plots_rows_and_where_they_come_from(page):
-    for text in (
-        "Does the paper hold?",
-        "holds in part",
-        "Solved against time",
-        "Where time goes",
-        "Provenance",
-    ):
-        assert text in page
+    verdicts, plots = ("Does the paper hold?", "holds in part"), ("Solved against time", "Where time goes")
+    assert all(text in page for text in (*verdicts, *plots, "Provenance"))
     assert page.count("<svg") == 6 and "cvqmpt plan place-task --problem PROBLEM" in page
     assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
 
@@ -68,19 +62,9 @@ def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys,
 def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
     (tmp_path / "r.html").write_text(page)
     arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--dump-dom"]
-    done = subprocess.run(
-        [
-            CHROMIUM,
-            *arguments,
-            "--enable-logging=stderr",
-            f"--user-data-dir={tmp_path}",
-            (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=True,
-    )
+    arguments += ["--enable-logging=stderr", f"--user-data-dir={tmp_path}"]
+    words = [CHROMIUM, *arguments, (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=500, check=True)
     assert "CONSOLE" not in done.stderr
     assert "<dialog" in done.stdout and "opt-cvq-mpt: rows of place-task" in done.stdout, "the script ran"
 

@@ -1,6 +1,7 @@
 """Results directories rendered: files, the head line, and directories without runs."""
 
 import json
+from itertools import product
 
 import pytest
 from made_rows import a_row
@@ -12,11 +13,8 @@ from paper_tables.suite_tables import TABLES, render_directory
 
 
 def rows(suite="place-task", count=10):
-    return [
-        a_row(f"p{k}", planner, suite=suite, t_total_s=1.0)
-        for planner in ("birrt", "ompl-projected")
-        for k in range(count)
-    ]
+    runs = product(("birrt", "ompl-projected"), range(count))
+    return [a_row(f"p{k}", planner, suite=suite, t_total_s=1.0) for planner, k in runs]
 
 
 def store(directory, some_rows, **session):
@@ -33,9 +31,8 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     title, _, head, *_ = texts[0].decode().splitlines()
     assert title == f"# {TABLES['place-task'].title}"
     assert written.brief[0] == f"{TABLES['place-task'].title}: 10 problems, cutoff 10 s"
-    assert head.startswith(
-        f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · machine Fast CPU, 2 cores"
-    )
+    machine = "machine Fast CPU, 2 cores"
+    assert head.startswith(f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · {machine}")
     assert head.endswith("20 rows")
     assert [path.read_bytes() for path in render_directory(tmp_path).paths] == texts
     store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)

@@ -51,9 +51,8 @@ def test_times_of_tasks_sum_the_papers_phases_and_its_statements_are_judged():
     assert table.sections["Failures"][1:] == [["ompl-projected", "reach-handle: timeout", "–", "1 of 7"]]
     faster = said(table)["opt-cvq-mpt reduces planning time by 45 %", "ompl-projected"]
     assert faster[2] == "44.3" and faster[3].startswith("51.") and faster[4:] == ["6", "confirmed"]
-    assert (
-        said(table)["opt-cvq-mpt reduces execution time by 18 %", "ompl-projected"][-1] == "less than stated"
-    )
+    shorter = said(table)["opt-cvq-mpt reduces execution time by 18 %", "ompl-projected"]
+    assert shorter[-1] == "less than stated"
     assert len(said(table)) == 2, "nothing about planners that did not run"
     assert "| 19.71" in table.markdown and r"\toprule" in table.latex and max(map(len, table.brief)) <= 100
 

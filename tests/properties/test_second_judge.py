@@ -30,11 +30,8 @@ ALLOWED = 1e-4  # [m]
 WAY = (0.003, 0.05)  # [m] that points move in a case, at most
 LEAST = 1e-6  # [m]
 MOTIONS, OBSTACLES = 5, 4  # tried for a case
-PLANNED, STRETCH, BUDGET = (
-    20,
-    4,
-    Budget(iterations=300),
-)  # of so many cases, one is so many states of a planned path
+PLANNED, STRETCH = 20, 4  # of so many cases, one is so many states of a planned path
+BUDGET = Budget(iterations=300)  # to plan it
 JUDGED = 0.8  # share of cases in which there must be something to judge
 DRAWN = 200  # configurations, of which one with two links near each other is chosen
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow differ from it
@@ -64,13 +61,11 @@ def given_arm(name, folder):
         source["urdf"] = str(folder / source["urdf"])
         (folder / source["urdf"]).write_bytes(random_urdf(name))
     robot = robot_from_source(source)
-    always = tuple(
-        (pair.first, pair.second) for pair in robot.left_out_pairs if pair.reason.startswith(OVERLAP)
-    )
-    unseen = {frozenset((pair.first, pair.second)) for pair in robot.left_out_pairs}
-    return Given(
-        source, robot, CollisionChecker(robot, Scene("empty", ())), Arm(source, folder), always, unseen
-    )
+    left_out = robot.left_out_pairs
+    always = tuple((pair.first, pair.second) for pair in left_out if pair.reason.startswith(OVERLAP))
+    unseen = {frozenset((pair.first, pair.second)) for pair in left_out}
+    checker = CollisionChecker(robot, Scene("empty", ()))
+    return Given(source, robot, checker, Arm(source, folder), always, unseen)
 
 
 def arm_of(name, number, folder):
@@ -89,19 +84,14 @@ def shape(rng, folder, carried=False):
     if kind == "convex_mesh":
         return {"type": kind, "vertices": (rng.uniform(-1.0, 1.0, (8, 3)) * size).tolist()}
     if kind == "point_cloud":
-        points = (
-            rng.standard_normal((rng.choice([1, 10, 300] if carried else [1, 300, 1001, 3000]), 3)) * size
-        )
+        count = rng.choice([1, 10, 300] if carried else [1, 300, 1001, 3000])
+        points = rng.standard_normal((count, 3)) * size
         points[1:] += rng.integers(2) * (0.5 if carried else 30.0) * unit(rng)  # one ball alone
         return {"type": kind, "points": points.tolist(), "radius": 10.0 ** rng.uniform(-3.0, -1.3)}
     if kind == "occupancy_map":
         cells = rng.integers(-3, 4, (rng.choice([1, 30, 200]), 3)) + rng.integers(-50, 50, 3)
-        return {
-            "type": kind,
-            "cells": cells.tolist(),
-            "resolution": 0.1 * a,
-            "padding": 0.01 * rng.integers(2),
-        }
+        sizes = {"resolution": 0.1 * a, "padding": 0.01 * rng.integers(2)}
+        return {"type": kind, "cells": cells.tolist(), **sizes}
     if kind == "mesh_file":
         return {"type": kind, "path": concave(rng, folder).name}
     return {"type": kind, "radius": a / 2} | ({"height": b * c} if kind == "cylinder" else {})
@@ -109,10 +99,8 @@ def shape(rng, folder, carried=False):
 
 def concave(rng, folder):
     """The file of a ring or of a bracket."""
-    mesh, (a, b, c) = (
-        trimesh.creation.torus(*rng.uniform((0.05, 0.01), (0.2, 0.04)), 10, 5),
-        rng.uniform(0.05, 0.3, 3),
-    )
+    mesh = trimesh.creation.torus(*rng.uniform((0.05, 0.01), (0.2, 0.04)), 10, 5)
+    a, b, c = rng.uniform(0.05, 0.3, 3)
     if rng.random() < 0.7:
         outline = np.array([(0.0, 0.0), (a, 0.0), (a, 0.02), (0.02, 0.02), (0.02, b), (0.0, b)])
         mesh = trimesh.creation.extrude_triangulation(outline, [(0, k, k + 1) for k in range(1, 5)], c)
@@ -152,10 +140,11 @@ def near_each_other(given, rng):
 
 def gaps(a, b, poses, count):
     """Distances (k,) between some corners of two bodies; of one, between balls around the bodies."""
-    some = [
-        x.points[:: 1 + len(x.points) // count] if count > 1 else x.box.mean(axis=0)[None] for x in (a, b)
-    ]
-    balls = sum(np.linalg.norm(x.box[-1] - x.box[0]) / 2 for x in (a, b)) if count == 1 else 0.0
+    if count > 1:
+        some, balls = [x.points[:: 1 + len(x.points) // count] for x in (a, b)], 0.0
+    else:
+        some = [x.box.mean(axis=0)[None] for x in (a, b)]
+        balls = sum(np.linalg.norm(x.box[-1] - x.box[0]) / 2 for x in (a, b))
     first, second = (
         np.einsum("kij,cj->kci", poses[x.group, :, :3, :3], points) + poses[x.group, :, None, :3, 3]
         for x, points in zip((a, b), some, strict=True)
@@ -185,9 +174,8 @@ def attachment(rng, folder):
 
 def obstacle(given, held, q, rng, folder):
     """An object that nearly touches a link or what is held at q, or goes into it by up to 1 cm."""
-    things = (
-        held if held and rng.random() < 0.4 else [body for body in given.arm.bodies if body.group != WORLD]
-    )
+    moving = [body for body in given.arm.bodies if body.group != WORLD]
+    things = held if held and rng.random() < 0.4 else moving
     thing, direction = things[rng.integers(len(things))], unit(rng)
     T_group = given.arm.poses(q[None])[thing.group, 0]
     contact, direction = moved(T_group, furthest(thing, direction)), T_group[:3, :3] @ direction
@@ -196,10 +184,8 @@ def obstacle(given, held, q, rng, folder):
     point = furthest(body, outward)
     if made["type"] == "mesh_file" and rng.random() < 0.7:  # inside the ring or bracket
         corners = body.triangles[rng.integers(len(body.triangles))]
-        outward, point = (
-            np.cross(corners[1] - corners[0], corners[2] - corners[0]),
-            rng.dirichlet(np.ones(3)) @ corners,
-        )
+        outward = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        point = rng.dirichlet(np.ones(3)) @ corners
     turn = Rotation.align_vectors([-direction], [outward])[0]
     T[:3, :3] = (Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * direction) * turn).as_matrix()
     gap = rng.choice([-1.0, 1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
@@ -209,10 +195,8 @@ def obstacle(given, held, q, rng, folder):
 
 def problem_of(path, given, objects, attachments, states):
     """The problem of a motion, written to a file and read from it."""
-    scene, ends = (
-        {"name": "made", "objects": objects},
-        {"start": states[0].tolist(), "goals": [states[-1].tolist()]},
-    )
+    scene = {"name": "made", "objects": objects}
+    ends = {"start": states[0].tolist(), "goals": [states[-1].tolist()]}
     data = {"schema": PlanningProblem.SCHEMA, "name": "made", "robot": given.source, "scene": scene, **ends}
     path.write_text(json.dumps({**data, "attachments": attachments}))
     return PlanningProblem.load(path)
@@ -240,10 +224,7 @@ def judged(name, number, folder):
     Obstacles are added one after the other; those with which the motion is not certified are left out again.
     """
     rng = np.random.default_rng([number, *name.encode()])
-    given, path = (
-        given_arm(number % RANDOM_ARMS if name == "random" else name, folder),
-        folder / "problem.json",
-    )
+    given, path = arm_of(name, number, folder), folder / "problem.json"
     for _ in range(MOTIONS):
         attachments, (hand, T) = [attachment(rng, folder)] if rng.random() < 0.4 else [], given.arm.hand
         held = [body_of(x, hand, T @ np.array(x["T_hand_object"]), folder) for x in attachments]
@@ -272,9 +253,8 @@ def test_certified_motions(name, trials, tmp_path):
     verdicts = {number: judged(name, number, tmp_path) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}
     excused = {pair for number in range(RANDOM_ARMS) for pair in arm_of(name, number, tmp_path).always}
-    log.info(
-        "%s: %d of %d cases certified, links not compared: %s", name, len(found), trials, sorted(excused)
-    )
+    counts = name, len(found), trials, sorted(excused)
+    log.info("%s: %d of %d cases certified, links not compared: %s", *counts)
     assert {number: verdict for number, verdict in found.items() if verdict.depth > ALLOWED} == {}
     assert len(found) >= JUDGED * trials
 

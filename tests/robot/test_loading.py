@@ -67,9 +67,8 @@ def test_files_without_a_robot_are_named(edited, refused, tmp_path, panda):
 def test_the_unit_of_a_collada_mesh_counts_before_the_scale_in_the_urdf(edited, refused, tmp_path):
     data = trimesh.creation.box((20.0, 30.0, 40.0)).export(file_type="dae")
     for unit in ("0.01", "0", "inch"):
-        (tmp_path / f"{unit}.dae").write_bytes(
-            data.replace(b"<up_axis>", b'<unit meter="%b"/><up_axis>' % unit.encode())
-        )
+        stated = b'<unit meter="%b"/><up_axis>' % unit.encode()
+        (tmp_path / f"{unit}.dae").write_bytes(data.replace(b"<up_axis>", stated))
     robot = load_robot(edited((SPHERE, '<mesh filename="0.01.dae" scale="0.5 0.5 -1"/>')), "tool")
     sizes = [np.ptp(piece.vertices, axis=0) for piece in robot.links]
     assert any(np.allclose(size, (0.1, 0.15, 0.4)) for size in sizes)
@@ -279,12 +278,8 @@ def test_an_arm_is_loaded_by_its_name(name):
 
 
 def test_what_is_given_beside_a_name_overrides_it():
-    source = {
-        "name": "ur5",
-        "locked": {"elbow_joint": 1.0},
-        "end_effector": "ee_link",
-        "acceleration_limits": 3.0,
-    }
+    source = {"name": "ur5", "locked": {"elbow_joint": 1.0}, "end_effector": "ee_link"}
+    source["acceleration_limits"] = 3.0
     robot = robot_from_source(source)
     assert robot.dof == 5 and robot.end_effector == "ee_link" and robot.source == source
     assert robot.acceleration_limits.tolist() == [3.0] * 5

@@ -136,9 +136,8 @@ def test_what_is_no_door_or_an_angle_outside_its_range_is_refused(grasp):
         take_out(kitchen(), "fridge")
     for angle in (-1.6, 0.1):
         for made in (bar_pose, partial(door_problem, 0)):
-            with pytest.raises(
-                InvalidInputError, match=rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"
-            ):
+            refused = rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"
+            with pytest.raises(InvalidInputError, match=refused):
                 made(angle=angle)
         with pytest.raises(InvalidInputError, match=f"start is outside the limits: {DOOR} by"):
             replace(door_problem(0), start=np.append(grasp[:7], angle))

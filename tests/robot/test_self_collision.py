@@ -100,9 +100,8 @@ def test_another_robot_has_pairs_of_its_own(slider_arm_urdf, tmp_path, cache, be
     """Another axis of a joint whose link has no body, a mirrored mesh, other limits."""
     for name, by in (("a.obj", 0.5), ("b.obj", -0.5)):
         trimesh.Trimesh(sheared(by)).convex_hull.export(tmp_path / name)
-    text = slider_arm_urdf.read_text().replace(
-        '<cylinder radius="0.04" length="0.3"/>', '<mesh filename="a.obj"/>'
-    )
+    cylinder = '<cylinder radius="0.04" length="0.3"/>'
+    text = slider_arm_urdf.read_text().replace(cylinder, '<mesh filename="a.obj"/>')
     text = re.sub('<link name="elbow">.*', '<link name="elbow"/>', text)
     (tmp_path / "arm.urdf").write_text(text)
     load_robot(tmp_path / "arm.urdf", "tool")

@@ -7,7 +7,6 @@ from scipy.spatial import cKDTree
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cells import CELL, MOST_CELLS_ACROSS, blocks_of, cells_with, distinct, merged
-from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 
@@ -57,11 +56,6 @@ def test_a_map_with_many_cells_across_is_held_by_larger_ones():
     low, high, _ = blocks_of(OccupancyMap(cells, 0.1), np.eye(4))
     for corner in (0.1 * cells + 1e-6, 0.1 * cells + 0.1 - 1e-6):
         assert ((corner[:, None] > low) & (corner[:, None] < high)).all(axis=2).any(axis=1).all()
-
-
-def test_a_map_is_not_carried():
-    with pytest.raises(InvalidInputError, match="'bag' is an occupancy map; what is carried is a solid"):
-        Attachment("bag", OccupancyMap(np.zeros((1, 3))), np.eye(4))
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,8 @@ def test_short_ways_are_shared_out_among_goals_and_never_longer_than_told():
     goals, lengths = np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]]), np.array([1.1, 3.3])
     ways = ShortWays(tuple(Spheroid(start, g, c, LOWER, UPPER) for g, c in zip(goals, lengths, strict=True)))
     samples = ways.sample(rng, 1000)
-    detours = np.linalg.norm(samples - start, axis=1)[:, None] + np.linalg.norm(
-        samples[:, None] - goals, axis=2
-    )
+    to_goals = np.linalg.norm(samples[:, None] - goals, axis=2)
+    detours = np.linalg.norm(samples - start, axis=1)[:, None] + to_goals
     within = detours <= lengths + 1e-9
     assert samples.shape == (1000, 7) and within.any(axis=1).all()
     assert (within.sum(axis=0) > 400).all()

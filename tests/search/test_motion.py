@@ -99,12 +99,8 @@ def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
     a, b = (ends[answers] for ends in motions)
     close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin
     rest = np.random.default_rng(0).choice(len(a), 300, replace=False)
-    hit = [
-        k
-        for k in {*close, *rest}
-        if checker.in_collision_batch(along((a[k : k + 1], b[k : k + 1]), FINE)[0]).any()
-    ]
-    assert hit == []
+    motions = {k: along((a[k : k + 1], b[k : k + 1]), FINE)[0] for k in {*close, *rest}}
+    assert [k for k, states in motions.items() if checker.in_collision_batch(states).any()] == []
 
 
 def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(

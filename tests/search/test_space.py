@@ -22,9 +22,8 @@ ENOUGH = Budget(iterations=20_000)
 def with_block(problem, q, distance):
     """A block beside the hand at q, its centre this far off [m]."""
     T_world_block = problem.robot.pose(q) @ pose((0.0, distance, 0.03))
-    return replace(
-        problem, scene=problem.scene.with_objects(SceneObject("block", Box((0.04,) * 3), T_world_block))
-    )
+    block = SceneObject("block", Box((0.04,) * 3), T_world_block)
+    return replace(problem, scene=problem.scene.with_objects(block))
 
 
 def touching_distance(problem, q):

@@ -52,10 +52,9 @@ def test_a_wrong_configuration_is_refused(scan, joint):
 
 def test_an_arm_that_is_not_in_the_picture_is_refused(scan):
     away = scan.T_world_camera @ small_motions(np.array([[0.0, 0.6, 0.0, 0.0, 0.0, 0.0]]))[0]
-    beside = (scan.points @ scan.T_world_camera[:3, :3].T) @ away[:3, :3]
-    gone = near_robot(
-        scan.points @ scan.T_world_camera[:3, :3].T + scan.T_world_camera[:3, 3], *scan.arm, margin=0.05
-    )
+    turned = scan.points @ scan.T_world_camera[:3, :3].T
+    beside = turned @ away[:3, :3]
+    gone = near_robot(turned + scan.T_world_camera[:3, 3], *scan.arm, margin=0.05)
     found = calibrate(beside[~gone], away, scan.arm, np.random.default_rng(0))
     assert any("too little of the arm" in doubt or "configuration" in doubt for doubt in found.doubts)
 

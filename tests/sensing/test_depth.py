@@ -93,11 +93,3 @@ def test_missing_intrinsics_and_impossible_units_are_named(files):
     ):
         with pytest.raises(InvalidInputError, match=message):
             read_capture(files.depth, **options)
-
-
-def test_an_array_of_depths_may_not_lie_about_its_size(files):
-    path = files.folder / "depth.npy"
-    np.save(path, np.ones((160, 200)))
-    path.write_bytes(path.read_bytes().replace(b"(160, 200)", b"(160,2000)"))
-    with pytest.raises(InvalidInputError, match="the file holds another size"):
-        read_capture(path, files.intrinsics)

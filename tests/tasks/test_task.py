@@ -74,7 +74,7 @@ def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
         (lambda task: changed(task, "grasp-can", object="cup"), "'grasp-can': unknown object .*'cup'"),
         (lambda task: grasping(task, Sphere(1e-3)), "'grasp-can': type .* is 'Sphere'.*'Cylinder'"),
         (lambda task: grasping(task, Cylinder(0.0373, 0.237)), "height .* is 0.237, that of 'can' .* 0.242"),
-        (grasping_a_map, "'grasp-can': attachment 'map' is an occupancy map"),
+        (grasping_a_map, "'grasp-can': attachment 'map' is an occupancy map; what is carried is a solid"),
         (lambda task: changed(task, "hold-handle", articulation="lid"), "unknown articulation"),
         (lambda task: changed(task, "open-door", value=-2.0), "'open-door': value -2.0 of hinge .* outside"),
         (lambda task: changed(task, "put-down", name="carry"), "'carry' occurs twice"),

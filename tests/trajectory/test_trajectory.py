@@ -7,6 +7,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
@@ -162,18 +163,18 @@ def test_what_cannot_be_timed_names_joint_and_place():
 
 
 def planned(capsys, *words):
-    code = main(["plan", *map(str, words)])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    """What a plan that finds a path prints."""
+    assert main(["plan", *map(str, words)]) == 0
+    return capsys.readouterr().out
 
 
 def test_plan_writes_the_motion_of_a_certified_path(capsys, tmp_path):
     out = tmp_path / "motion.json"
-    code, text, _ = planned(capsys, "place-task", "--problem", 1, "--trajectory", out, "--speed", 0.5)
+    text = planned(capsys, "place-task", "--problem", 1, "--trajectory", out, "--speed", 0.5)
     message = json.loads(out.read_text())
     last = message["points"][-1]["time_from_start"]
     line = next(line for line in text.splitlines() if line.startswith("trajectory"))
-    assert code == 0 and "at 0.5 of the joint limits" in line and "certified" in line and str(out) in line
+    assert "at 0.5 of the joint limits" in line and "certified" in line and str(out) in line
     assert float(line.split()[1]) == pytest.approx(last["sec"] + 1e-9 * last["nanosec"], abs=0.01)
     fastest = np.abs([point["velocities"] for point in message["points"]]).max(axis=0)
     assert (fastest / panda().joint_limits.velocity).max() == pytest.approx(0.5, rel=0.01)
@@ -183,10 +184,9 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     file, out = tmp_path / "arm.json", tmp_path / "motion.csv"
     PlanningProblem("reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]).save(file)
     words = ("--problem-file", file, "--urdf", slider_arm_urdf, "--end-effector", "tool", "--trajectory", out)
-    code, _, error = planned(capsys, *words)
-    assert code == 2 and "--acceleration" in error and len(error.splitlines()) == 1 and not out.exists()
-    code, text, _ = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
-    assert code == 0 and out.read_text().startswith("time,rail_position,lift_position,")
+    assert "--acceleration" in refused(capsys, "plan", *words) and not out.exists()
+    text = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
+    assert out.read_text().startswith("time,rail_position,lift_position,")
     assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, "1 rad at 1 rad/s, from rest to rest"
 
 
@@ -196,12 +196,10 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
         ("--trajectory motion.txt", "'.txt'; valid choices: .csv, .json"),
         ("--trajectory /nope/motion.csv", "folder /nope does not exist"),
         ("--trajectory motion.csv --speed 1.5", "speed factor 1.5"),
-        ("--trajectory motion.csv --speed 0", "speed factor 0.0"),
         ("--trajectory motion.csv --speed fast", "'fast'"),
         ("--speed 0.5", "--trajectory"),
         ("--acceleration 1", "--urdf"),
     ],
 )
 def test_what_plan_refuses_about_trajectories(capsys, words, expected):
-    code, text, error = planned(capsys, "place-task", *words.split())
-    assert code == 2 and text == "" and expected in error and len(error.splitlines()) == 1
+    assert expected in refused(capsys, "plan", "place-task", *words.split())
