@@ -1,4 +1,4 @@
-"""`cvqmpt problems`: list or write the problems of a suite, or write one to start from, as json files for `plan`."""
+"""`cvqmpt problems`: list or write the problems of a suite, write one to start from, or import a scene of MoveIt."""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
@@ -7,7 +7,7 @@ from pathlib import Path
 from cli.options import ProgressBar, positive_int, writable_file
 from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.codec.json_schema import FOLDER
-from cvqmpt_lab.codec.plain import to_text
+from cvqmpt_lab.codec.plain import to_plain, to_text
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import make_folder, read_text, write_text
 from cvqmpt_lab.pipeline import with_sampled_goals
@@ -23,6 +23,7 @@ EXAMPLES = (
     "cvqmpt problems export place-task --out problems/",
     "cvqmpt problems new mine.json --robot panda",
     "cvqmpt problems new drawer.json --task",
+    "cvqmpt problems import shelf.scene --out shelf.json",
 )
 GOALS_WIN = "The goals are used as they are; take them out, and new ones are drawn from goal_region."
 
@@ -31,9 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Action, suite or file, how many, where to."""
     add = parser.add_argument
     add("action", help=", ".join(ACTIONS))
-    add("what", help=f"suite: {', '.join(SUITES)}; with new: the file to write")
+    what = "with new: the file to write; with import: a scene of MoveIt (scene, yaml)"
+    add("what", help=f"suite: {', '.join(SUITES)}; {what}")
     add("--problems", type=positive_int, metavar="N", help="only the first N (all)")
-    add("--out", type=Path, metavar="DIR", help="folder for the json files (with export)")
+    out = "folder for the json files (with export); the file to write (with import)"
+    add("--out", type=Path, metavar="DIR|S.json", help=out)
     add("--goals", action="store_true", help="write sampled goals beside the goal region (with export)")
     add("--task", action="store_true", help="a task of several phases, a drawer to open (with new)")
     add_robot(parser, "robot of the new problem (the panda)")
@@ -45,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         raise UnknownChoiceError("action", args.action, ACTIONS)
     goes_with = {
         "problems": "list or export",
-        "out": "export",
+        "out": "export or import",
         "goals": "export",
         "robot": "new",
         "task": "new",
@@ -78,6 +81,24 @@ def _new(args: argparse.Namespace) -> int:
     write_text(writable_file(path), text)
     write_text(path.parent / SCHEMA_FILE, read_text(FOLDER / SCHEMA_FILE))
     print(f"{path} written, and {SCHEMA_FILE} for editors; plan it with: cvqmpt plan --problem-file {path}")
+    return 0
+
+
+def _import(args: argparse.Namespace) -> int:
+    """A scene of MoveIt as json that a problem, or `plan --scene`, names."""
+    from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene  # its meshes take 0.3 s to import
+
+    source = Path(args.what)
+    path = args.out or Path(f"{source.stem}.json")
+    if path.exists():
+        raise InvalidInputError(f"{path} is there already; name another file with --out")
+    scene, frame = read_moveit_scene(source)
+    write_text(writable_file(path), to_text(to_plain(scene)) + "\n")
+    seen = f"frame {frame!r}" if frame else "the file's frame"
+    print(f"{path} written: {len(scene.objects)} objects; {seen} is taken for the robot's base frame")
+    print(
+        f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start Q --goal Q'
+    )
     return 0
 
 
@@ -119,4 +140,9 @@ def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem |
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")
 
 
-ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {"list": _list, "export": _export, "new": _new}
+ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "list": _list,
+    "export": _export,
+    "new": _new,
+    "import": _import,
+}

@@ -231,7 +231,7 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
                 raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not there: {path} is no file")
         else:
             package, _, rest = name.removeprefix(SCHEME).partition("/")
-            path = _in_package(package, rest, urdf, package_dirs)
+            path = in_package(package, rest, urdf, package_dirs)
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
         if path.suffix.lower() == ".dae":
@@ -242,7 +242,8 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
     return found
 
 
-def _in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]) -> Path:
+def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
+    """The file of "package://PACKAGE/REST" that a URDF or scene names; InvalidInputError says where it was sought."""
     ros_folders = [Path(name) for name in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
         inside = [folder / package / rest]  # the folder holds the package, or is it

@@ -1,6 +1,5 @@
 """Intrinsics and extrinsics of depth cameras from small json or yaml files."""
 
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from cvqmpt_lab.codec.forms import Array, FloatArray
 from cvqmpt_lab.codec.plain import from_plain, located, mapping
+from cvqmpt_lab.codec.safe_yaml import yaml_value
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import json_value
 from cvqmpt_lab.poses import MATRIX, Placement, Pose
@@ -18,7 +18,6 @@ from cvqmpt_lab.sensing.camera import Intrinsics
 LARGEST = 2**16  # [bytes] of a file; calibrations take one thousand
 ROUNDED = 1e-3  # that a rotation matrix may be from orthonormal: three digits were written down
 FORMS = "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or intrinsic_matrix"
-FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
@@ -101,25 +100,4 @@ def _from_json(text: str) -> Any:
     return json_value(text, "it")
 
 
-def _from_yaml(text: str) -> Any:
-    """Plain values only: no tags, no aliases (a few of which grow without end), no key twice."""
-    import yaml  # planning without scans need not pay for it
-
-    class Loader(yaml.SafeLoader):
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.check_event(yaml.AliasEvent):
-                raise InvalidInputError("it has an alias (*name); write the value out")
-            return super().compose_node(parent, index)
-
-        def construct_mapping(self, node: Any, deep: bool = False) -> dict:
-            keys = [self.construct_object(key) for key, _ in node.value]
-            twice = next((key for k, key in enumerate(keys) if key in keys[:k]), None)
-            if twice is not None:
-                raise InvalidInputError(f"key {twice!r} occurs twice")
-            return super().construct_mapping(node, deep)
-
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))  # 1e-3 too
-    return yaml.load(text, Loader)
-
-
-PARSERS: Mapping[str, Callable[[str], Any]] = {".json": _from_json, ".yaml": _from_yaml, ".yml": _from_yaml}
+PARSERS: Mapping[str, Callable[[str], Any]] = {".json": _from_json, ".yaml": yaml_value, ".yml": yaml_value}

@@ -1,0 +1,300 @@
+"""Planning scenes of MoveIt: `.scene` text, and yaml of CollisionObjects as MotionBenchMaker writes them.
+
+Boxes, spheres, cylinders and meshes become objects of a `Scene`; other shapes, point maps, objects in the robot's hand
+and objects in several frames are refused by name, because a scene without them would be another one.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.codec.forms import FloatArray, numbers
+from cvqmpt_lab.codec.plain import at, from_plain, located, mapping
+from cvqmpt_lab.codec.safe_yaml import yaml_value
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.poses import Placement
+from cvqmpt_lab.robot.source import SCHEME, in_package
+from cvqmpt_lab.scene.cloud_files import file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.convex import convex_pieces
+from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, read_mesh
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
+
+LARGEST = 2**24  # [bytes] of a file
+SOLIDS = {"box": 3, "sphere": 1, "cylinder": 2}  # and the number of their sizes
+KNOWN = (*SOLIDS, "mesh")
+PRIMITIVES = {
+    1: "box",
+    2: "sphere",
+    3: "cylinder",
+    4: "cone",
+    5: "prism",
+}  # numbers of shape_msgs/SolidPrimitive
+
+
+class Placed(NamedTuple):
+    """A convex shape of an object."""
+
+    of: str  # the object's id
+    shape: Shape
+    T: FloatArray  # (4, 4)
+
+
+def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
+    """The scene of a file, and the frame of its poses, "" where the file does not say.
+
+    An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file and the object.
+    """
+    path = Path(path)
+    parse = PARSERS[kind_of(path, PARSERS, "MoveIt scene")]
+    data = file_bytes(path, "MoveIt scene")
+    with parsing(path, "MoveIt scene"):
+        if len(data) > LARGEST:
+            raise InvalidInputError(f"it has {len(data)} bytes; {LARGEST} at most")
+        name, frame, found = parse(data.decode("utf-8"), path)
+        pieces, met = Counter(placed.of for placed in found), Counter[str]()
+        objects = []
+        for of, shape, T in found:
+            objects.append(SceneObject(of if pieces[of] == 1 else f"{of}/{met[of]}", shape, T))
+            met[of] += 1
+        return Scene(name or path.stem, tuple(objects)), frame
+
+
+def _solid(kind: str, sizes: Sequence[float]) -> Shape:
+    """A box of x, y, z, a sphere of its radius, or a cylinder of its radius and height [m]."""
+    if kind not in SOLIDS:
+        raise UnknownChoiceError("shape", kind, KNOWN)
+    if len(sizes) != SOLIDS[kind]:
+        raise InvalidInputError(f"{kind} has {len(sizes)} dimensions; {SOLIDS[kind]} are needed")
+    x, *rest = map(float, sizes)
+    if kind == "box":
+        return Box((x, rest[0], rest[1]))
+    return Sphere(x) if kind == "sphere" else Cylinder(x, rest[0])
+
+
+def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
+    """Convex pieces of a mesh of vertices (k, 3) [m] and corners (f, 3) of triangles."""
+    if len(triangles) > MOST_TRIANGLES:
+        raise InvalidInputError(f"mesh of {len(triangles)} triangles; {MOST_TRIANGLES} at most: simplify it")
+    corners = triangles.astype(int)
+    if corners.size == 0 or corners.min() < 0 or corners.max() >= len(vertices):
+        raise InvalidInputError(
+            f"a triangle has a corner that is none of the mesh's {len(vertices)} vertices"
+        )
+    yield from map(ConvexMesh, convex_pieces(vertices[corners]))
+
+
+def _matrix(position: Any, orientation: Any) -> FloatArray:
+    """A pose (4, 4) of x, y, z and a quaternion x, y, z, w; one of zeros stands for no turn, as in MoveIt."""
+    turn = numbers(orientation, "orientation", "4 numbers, a quaternion x, y, z, w")
+    quaternion = turn if turn.any() else [0.0, 0.0, 0.0, 1.0]
+    return from_plain(Placement, {"xyz": position, "quaternion": quaternion}, "pose").matrix
+
+
+# `.scene` text: the scene's name; objects, each "* ID", in newer files its pose, the number of its shapes; then of each
+# shape kind, sizes, position, quaternion and colour; in newer files subframes; "." ends.
+class _Lines:
+    """The lines that are left."""
+
+    def __init__(self, text: str) -> None:
+        self._left = [line.strip() for line in text.splitlines() if line.strip()][::-1]
+
+    def next(self, what: str) -> str:
+        """The next line, which holds `what`."""
+        if not self._left:
+            raise InvalidInputError(f"it ends where {what} is expected: cut short?")
+        return self._left.pop()
+
+    def count(self, what: str) -> int:
+        """A line of one whole number."""
+        line = self.next(what)
+        if not line.isdecimal():
+            raise InvalidInputError(f"{shown(line)} where {what} is expected")
+        return int(line)
+
+    def floats(self, count: int, what: str) -> FloatArray:
+        """A line of so many numbers."""
+        line = self.next(what)
+        try:
+            found = np.array([float(word) for word in line.split()])
+        except ValueError:
+            found = np.empty(0)
+        if len(found) != count or not np.isfinite(found).all():
+            raise InvalidInputError(f"{shown(line)} where {what} ({count} numbers) is expected")
+        return found
+
+    def pose(self, what: str) -> FloatArray:
+        """A line of a position, and one of a quaternion."""
+        return _matrix(self.floats(3, f"the position of {what}"), self.floats(4, f"the quaternion of {what}"))
+
+    @property
+    def starts_with_position(self) -> bool:
+        """Whether the next line has three words."""
+        return bool(self._left) and len(self._left[-1].split()) == 3
+
+
+def _from_text(text: str, path: Path) -> tuple[str, str, list[Placed]]:
+    lines, found = _Lines(text), list[Placed]()
+    name = lines.next("the scene's name")
+    while (line := lines.next("'* ID' of an object, or '.'")) != ".":
+        if not line.startswith("*"):
+            raise InvalidInputError(f"{shown(line)} where '* ID' of an object, or '.', is expected")
+        with located(f"object {shown(line[1:].strip())}"):
+            found += _text_object(lines, line[1:].strip())
+    return name, "", found
+
+
+def _text_object(lines: _Lines, of: str) -> Iterator[Placed]:
+    newer = lines.starts_with_position
+    T_object = lines.pose("the object") if newer else np.eye(4)
+    for _ in range(lines.count("the number of shapes")):
+        shapes = list(_text_shape(lines))
+        T = T_object @ lines.pose("a shape")
+        lines.floats(4, "a colour")
+        yield from (Placed(of, shape, T) for shape in shapes)
+    for _ in range(lines.count("the number of subframes") if newer else 0):
+        lines.next("the name of a subframe")
+        lines.pose("a subframe")
+
+
+def _text_shape(lines: _Lines) -> Iterator[Shape]:
+    kind = lines.next("a shape")
+    if kind != "mesh":
+        if kind not in SOLIDS:
+            raise UnknownChoiceError("shape", kind, KNOWN)
+        yield _solid(kind, lines.floats(SOLIDS[kind], f"the size of a {kind}").tolist())
+        return
+    corners, triangles = map(int, lines.floats(2, "the numbers of vertices and triangles"))
+    vertices = np.array([lines.floats(3, "a vertex") for _ in range(corners)])
+    yield from _pieces(vertices, np.array([lines.floats(3, "a triangle") for _ in range(triangles)]))
+
+
+# Yaml: a PlanningScene, its world, or a list of CollisionObjects, with vectors as lists or as {x, y, z, w}.
+def _from_yaml(text: str, path: Path) -> tuple[str, str, list[Placed]]:
+    data = yaml_value(text)
+    whole = {"world": {"collision_objects": data}} if isinstance(data, list) else mapping(data, "", "world")
+    world = mapping(whole.get("world", whole), "world")
+    if "collision_objects" not in world:
+        raise InvalidInputError("it has no 'collision_objects', neither in 'world' nor by themselves")
+    _refuse_what_is_no_object(whole, world)
+    found, frames = list[Placed](), list[str]()
+    for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
+        fields = mapping(
+            item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
+        )
+        of = str(fields.get("id", "")).strip()
+        with located(f"object {shown(of)}"):
+            found += _yaml_object(fields, of, path)
+        frames.append(str(_field(fields.get("header"), "frame_id") or ""))
+    if len(set(frames)) > 1:
+        raise InvalidInputError(f"objects stand in frames {', '.join(sorted(set(frames)))}; write all in one")
+    return str(whole.get("name") or ""), frames[0] if frames else "", found
+
+
+def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
+    """Refuse what the scene would lack."""
+    if _field(_field(world.get("octomap"), "octomap"), "data"):
+        raise InvalidInputError("it holds an octomap; write that as a cloud, and name it as a map_file")
+    carried = _field(whole.get("robot_state"), "attached_collision_objects")
+    if carried:
+        names = [str(_field(_field(item, "object"), "id")) for item in _listed(carried, "attached objects")]
+        raise InvalidInputError(
+            f"the robot carries {', '.join(names)}; take it out and write it as 'attachments' of the problem"
+        )
+    for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
+        moved = _field(item, "transform")
+        T = _matrix(_vector(_field(moved, "translation")), _vector(_field(moved, "rotation")))
+        if not np.allclose(T, np.eye(4), atol=1e-9):
+            frame = _field(item, "child_frame_id")
+            raise InvalidInputError(f"frame {shown(frame)} is moved by a transform; write poses without it")
+
+
+def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Placed]:
+    if fields.get("operation", 0) not in (0, "add", "ADD"):
+        raise InvalidInputError(
+            f"operation {shown(fields['operation'])}; only objects that are added are read"
+        )
+    if fields.get("planes"):
+        raise UnknownChoiceError("shape", "plane", KNOWN)
+    T_object = _pose(fields["pose"]) if fields.get("pose") else np.eye(4)
+    reads: dict[str, Callable[[Any], list[Shape]]] = {
+        "primitive": lambda item: [_primitive(item)],
+        "mesh": lambda item: list(_mesh(item, path)),
+    }
+    plural = {"primitive": "primitives", "mesh": "meshes"}
+    for kind, read in reads.items():
+        shapes = _listed(fields.get(plural[kind]), plural[kind])
+        poses = _listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
+        if not poses and len(shapes) == 1 and fields.get("pose"):
+            poses = [None]  # newer messages may say the object's pose alone
+        if len(poses) != len(shapes):
+            raise InvalidInputError(
+                f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many"
+            )
+        for item, there in zip(shapes, poses, strict=True):
+            T = T_object if there is None else T_object @ _pose(there)
+            yield from (Placed(of, shape, T) for shape in read(item))
+
+
+def _primitive(item: Any) -> Shape:
+    fields = mapping(item, "primitive", "type, dimensions")
+    given = fields.get("type")
+    kind = PRIMITIVES.get(given, str(given)) if isinstance(given, int) else str(given).lower()
+    sizes = numbers(fields.get("dimensions"), "dimensions", "numbers [m]").ravel().tolist()
+    return _solid(kind, sizes[::-1] if kind == "cylinder" else sizes)  # height before radius here
+
+
+def _mesh(item: Any, path: Path) -> Iterator[Shape]:
+    fields = mapping(item, "mesh", "vertices, triangles, or resource")
+    if "resource" not in fields:
+        corners = [
+            _field(one, "vertex_indices") or one for one in _listed(fields.get("triangles"), "triangles")
+        ]
+        vertices = [_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
+        yield from _pieces(
+            numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
+            numbers(corners, "triangles", "3 numbers of vertices").reshape(-1, 3),
+        )
+        return
+    name = str(fields["resource"])
+    scales = set(numbers(fields.get("dimensions", 1.0), "dimensions", "scales").ravel().tolist())
+    if len(scales) != 1:
+        raise InvalidInputError(f"mesh {name!r} is scaled differently along its axes; scale the file itself")
+    package, _, rest = name.removeprefix(SCHEME).partition("/")
+    there = (
+        in_package(package, rest, path)
+        if name.startswith(SCHEME)
+        else path.parent / name.removeprefix("file://")
+    )
+    yield from map(ConvexMesh, read_mesh(there, scales.pop()))
+
+
+def _pose(value: Any) -> FloatArray:
+    fields = mapping(value, "pose", "position, orientation")
+    return _matrix(_vector(fields.get("position")), _vector(fields.get("orientation", [0, 0, 0, 1])))
+
+
+def _vector(value: Any) -> Any:
+    """A list of numbers, written as such or as {x, y, z} or {x, y, z, w}."""
+    return [value.get(axis) for axis in "xyzw" if axis in value] if isinstance(value, Mapping) else value
+
+
+def _listed(value: Any, what: str) -> Sequence[Any]:
+    if value is not None and not isinstance(value, list):
+        raise InvalidInputError(f"{at('', what)} is {shown(value)}; it must be a list")
+    return value or []
+
+
+def _field(value: Any, name: str) -> Any:
+    """A field of a mapping; None where there is none."""
+    return value.get(name) if isinstance(value, Mapping) else None
+
+
+PARSERS: Mapping[str, Callable[[str, Path], tuple[str, str, list[Placed]]]] = {
+    ".scene": _from_text,
+    ".yaml": _from_yaml,
+    ".yml": _from_yaml,
+}

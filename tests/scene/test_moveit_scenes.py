@@ -1,0 +1,153 @@
+"""Scenes of MoveIt become ours, shape by shape; what ours cannot hold is refused by name."""
+
+import json
+import random
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
+from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
+
+HALF = "0 0 0.7071068 0.7071068"  # a quarter turn about z
+CORNERS = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+FACES = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+MESH = "\n".join(["mesh", "4 4", *(" ".join(map(str, row)) for row in CORNERS + FACES)])
+OLDER = f"""cell
+* the box
+2
+box
+0.2 0.4 0.6
+1 0 0.5
+{HALF}
+0 0 1 0.3
+sphere
+0.1
+0 1 0
+0 0 0 0
+0 0 0 0
+* can
+1
+cylinder
+0.03 0.14
+0 0 1
+0 0 0 1
+0 0 0 0
+.
+"""
+NEWER = f"""cell
+* tetrahedron
+1 0 0
+{HALF}
+1
+{MESH}
+1 0 0
+0 0 0 1
+0 0 0 0
+1
+grasp
+0 0 0
+0 0 0 1
+.
+"""
+CAN = {"id": "can", "primitives": [{"type": "cylinder", "dimensions": [0.14, 0.03]}],
+       "primitive_poses": [{"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}]}  # fmt: skip
+TETRAHEDRON = {
+    "id": "tetrahedron",
+    "pose": {"position": {"x": 1, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0.7071068, "w": 0.7071068}},
+    "meshes": [{"vertices": CORNERS, "triangles": [{"vertex_indices": face} for face in FACES]}],
+    "mesh_poses": [{"position": [1, 0, 0], "orientation": [0, 0, 0, 1]}],
+}  # fmt: skip
+
+
+def read(folder, text, suffix=".scene"):
+    (folder / f"a{suffix}").write_text(text if suffix == ".scene" else json.dumps(text))  # json is yaml
+    return read_moveit_scene(folder / f"a{suffix}")
+
+
+def test_text_of_both_versions_is_read(tmp_path):
+    scene, _ = read(tmp_path, OLDER)
+    box, sphere, can = scene.objects
+    assert scene.name == "cell" and scene.names == ("the box/0", "the box/1", "can")
+    assert (
+        box.shape == Box((0.2, 0.4, 0.6))
+        and sphere.shape == Sphere(0.1)
+        and can.shape == Cylinder(0.03, 0.14)
+    )
+    assert box.T_world_object @ (0, 1, 0, 1) == pytest.approx((0.0, 0.0, 0.5, 1.0), abs=1e-6)
+    (tetrahedron,) = read(tmp_path, NEWER)[0].objects
+    assert isinstance(tetrahedron.shape, ConvexMesh)
+    assert tetrahedron.T_world_object[:3, 3] == pytest.approx((1.0, 1.0, 0.0), abs=1e-6)
+    assert np.ptp(tetrahedron.shape.vertices, axis=0) == pytest.approx(0.1, abs=1e-9)
+
+
+def test_yaml_says_the_same_with_heights_before_radii(tmp_path):
+    data = {"name": "cell", "world": {"collision_objects": [TETRAHEDRON, CAN]}}
+    scene, frame = read(tmp_path, data, ".yaml")
+    expected = [*read(tmp_path, NEWER)[0].objects, read(tmp_path, OLDER)[0]["can"]]
+    assert scene.names == ("tetrahedron", "can") and frame == ""
+    for found, wanted in zip(scene.objects, expected, strict=True):
+        assert found.shape == wanted.shape
+        assert found.T_world_object == pytest.approx(wanted.T_world_object, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"primitives": [{"type": "cone", "dimensions": [1, 1]}]}, "object 'can': unknown shape 'cone'; valid"),
+        ({"primitives": [{"type": 5, "dimensions": [1, 1]}]}, "object 'can': unknown shape 'prism'"),
+        ({"planes": [{"coef": [0, 0, 1, 0]}]}, "unknown shape 'plane'"),
+        ({"primitives": [{"type": "box", "dimensions": [1, 1]}]}, "box has 2 dimensions; 3 are needed"),
+        ({"primitive_poses": []}, "1 primitives and 0 primitive_poses"),
+        ({"operation": 1}, "operation 1; only objects that are added"),
+    ],
+)  # fmt: skip
+def test_what_is_not_understood_is_named(tmp_path, change, message):
+    with pytest.raises(InvalidInputError, match=message):
+        read(tmp_path, [CAN | change], ".yaml")
+
+
+def test_a_scene_without_something_is_refused(tmp_path):
+    world = {"collision_objects": [CAN]}
+    attached = {"attached_collision_objects": [{"link_name": "hand", "object": CAN}]}
+    moved = {"child_frame_id": "base", "transform": {"translation": [1, 0, 0], "rotation": [0, 0, 0, 1]}}
+    two = [CAN | {"header": {"frame_id": frame}} for frame in ("base", "table")]
+    for data, message in (
+        ({"world": world, "robot_state": attached}, "carries can; .*'attachments'"),
+        ({"world": world | {"octomap": {"octomap": {"data": [1]}}}}, "octomap"),
+        ({"world": world, "fixed_frame_transforms": [moved]}, "frame 'base' is moved"),
+        ({"world": {"collision_objects": two}}, "frames base, table"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            read(tmp_path, data, ".yaml")
+    with pytest.raises(InvalidInputError, match="object 'the box': unknown shape 'cone'"):
+        read(tmp_path, OLDER.replace("sphere", "cone"))
+    with pytest.raises(UnknownChoiceError, match=r"'\.xml'; valid choices: \.scene, \.yaml"):
+        read_moveit_scene(tmp_path / "a.xml")
+
+
+def test_damaged_text_is_refused_in_one_line(tmp_path):
+    rng = random.Random(0)
+    for text in (OLDER, NEWER):
+        for _ in range(150):
+            lines = text.splitlines()
+            k = rng.randrange(len(lines))
+            lines[k : k + rng.randrange(2)] = rng.choice(
+                [[], ["nan 1"], ["-1"], ["999999999"], [lines[k] + " 7"]]
+            )
+            try:
+                read(tmp_path, "\n".join(lines))
+            except InvalidInputError as error:
+                assert "\n" not in str(error) and str(error).startswith("MoveIt scene ")
+
+
+def test_import_writes_a_scene_that_problems_name(tmp_path, capsys):
+    (tmp_path / "shelf.scene").write_text(OLDER)
+    words = ["problems", "import", str(tmp_path / "shelf.scene"), "--out", str(tmp_path / "shelf.json")]
+    assert main(words) == 0
+    assert "3 objects; the file's frame is taken for the robot's base frame" in capsys.readouterr().out
+    assert read_scene(tmp_path / "shelf.json") == read_moveit_scene(tmp_path / "shelf.scene")[0]
+    assert main(words) == 2 and "is there already" in capsys.readouterr().err
