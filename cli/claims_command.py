@@ -5,12 +5,12 @@ from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
-from paper_tables.claims import evidence_below, judged_claims
+from paper_tables.claims import banner, evidence_below, judged_claims
 from paper_tables.claims_page import PAGE, committed_pages, page_text
 from paper_tables.committed import RESULTS, committed_directories, require_checkout
 
 PAGE_NAME = "claims.md"
-EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all")
+EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all --write")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,17 +19,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"folder of results directories, where {PAGE_NAME} goes (the committed ones, with page and README)"
     )
     parser.add_argument("results", type=Path, nargs="?", metavar="DIR", help=where)
+    parser.add_argument("--write", action="store_true", help="write the page; without, verdicts are printed")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge, write and say the verdicts."""
+    """Judge, say the verdicts, and write the page when asked to."""
     if args.results is None:
         require_checkout("cvqmpt claims", "a folder of results directories")
     pages = committed_pages() if args.results is None else pages_of(args.results)
+    print("\n".join(verdict_lines(args.results or RESULTS)))
+    page = PAGE if args.results is None else args.results / PAGE_NAME
+    if not args.write:
+        print(f"nothing written; --write writes {page}")
+        return 0
     for path, text in pages.items():
         write_text(path, text)
-    print("\n".join(verdict_lines(args.results or RESULTS)))
-    print(f"written {PAGE if args.results is None else args.results / PAGE_NAME}")
+    print(f"written {page}")
     return 0
 
 
@@ -43,4 +48,7 @@ def pages_of(results: Path) -> dict[Path, str]:
 
 def verdict_lines(results: Path) -> list[str]:
     """A line a claim."""
-    return [f"{item.verdict:22} {item.claim.title}" for item in judged_claims(evidence_below(results))]
+    found = evidence_below(results)
+    warned = banner(found)
+    lines = [f"{item.verdict:22} {item.claim.title}" for item in judged_claims(found)]
+    return [warned, *lines] if warned else lines

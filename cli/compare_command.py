@@ -14,14 +14,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Two results directories."""
     parser.add_argument("before", type=Path, metavar="A", help="a results directory")
     parser.add_argument(
-        "after", type=Path, metavar="B", help="another, of the same suite, problems and seeds"
+        "after",
+        type=Path,
+        metavar="B",
+        help="another, of the same suite; the runs that both have are compared",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Pair runs, compare them and print what changed."""
     found = compared(directory_rows(args.before), directory_rows(args.after))
-    print(f"from A, {args.before}, to B, {args.after}; changes over runs that both solved, 95 % intervals")
+    print(
+        f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both solved, 95 % intervals"
+    )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
     return 0

@@ -3,15 +3,16 @@
 import csv
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
 from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, read_rows
 from cvqmpt_lab.results.statistics import geometric_mean_interval
 from paper_tables import statements
-from paper_tables.judging import NOTHING, Verdict, judged, less, ruling
+from paper_tables.judging import NOTHING, Ruling, Verdict, judged, less, ruling
 from paper_tables.measures import REFERENCE, Rows
 from paper_tables.multi_sequence_table import task_rows
 from paper_tables.paper_numbers import read_published
@@ -20,6 +21,7 @@ from paper_tables.suite_tables import table_of
 
 HISTOGRAM_VALUES = "values.csv"
 OMPL = "ompl-projected"
+JUDGING = ("hour", "full")  # profiles of `cvqmpt reproduce all` with runs enough for verdicts
 
 
 class Evidence(NamedTuple):
@@ -58,6 +60,8 @@ class JudgedClaim(NamedTuple):
         standing = [verdict.ruling.holds for verdict in self.verdicts]
         if all(standing) and not self.silent:
             return "holds"
+        if all(verdict.ruling is Ruling.TOO_FEW for verdict in self.verdicts):
+            return str(Ruling.TOO_FEW)
         return "holds in part" if any(standing) else "does not hold here"
 
 
@@ -171,6 +175,24 @@ def _updated(evidence: Evidence) -> Verdict:
     ours = less(geometric_mean_interval([math.exp(fmean(codes)) for codes in logs.values()]))
     said = statements.UPDATED
     return Verdict(said, said.baselines[0], None, ours, ruling(ours, said.stated))
+
+
+def profiles(found: Mapping[str, Evidence]) -> list[str]:
+    """Profiles of `cvqmpt reproduce all` that made results directories, but the full ones."""
+    commands = [session.get("command") or [] for item in found.values() for session in sessions(item.record)]
+    named = (after for words in commands for word, after in pairwise(words) if word == "--profile")
+    return [name for name in dict.fromkeys(named) if name not in JUDGING]
+
+
+def banner(found: Mapping[str, Evidence]) -> str:
+    """A sentence where rows are of a profile that is too small for verdicts; "" elsewhere."""
+    small = profiles(found)
+    if not small:
+        return ""
+    return (
+        f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, short budgets, "
+        "wide intervals. Verdicts of the paper need the profile hour or full."
+    )
 
 
 def evidence_below(results: Path) -> dict[str, Evidence]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import sessions
-from paper_tables.claims import Evidence, JudgedClaim, evidence_below, judged_claims
+from paper_tables.claims import Evidence, JudgedClaim, banner, evidence_below, judged_claims
 from paper_tables.committed import RESULTS
-from paper_tables.judging import NOTHING, Verdict, less, statement_lines
+from paper_tables.judging import NOTHING, PRECISION, Verdict, less, statement_lines
 from paper_tables.measures import VALUES, fraction, paired_ratio, solved
 from paper_tables.paper_numbers import PUBLISHED, read_published
 from paper_tables.table_engine import by_planner
@@ -47,6 +47,8 @@ TERMS = (
     "bootstrap interval; n counts problems. Shares have Wilson intervals.",
     "*Work*: projections and state checks. *The paper's cost of work*: the same counts at 3.5 ms a state check "
     "and 0.02 ms a projection, as in the paper's simulator, plus networks as measured here.",
+    f"An interval wider than {100 * PRECISION:.0f} points that contains the stated number, or zero, says *too few runs "
+    "to tell*.",
     "A claim *holds* where every statement below it is confirmed or compatible, *in part* where some are, or where "
     "rows for some are missing. *No rows yet*: the paper's planners have not been run there since they changed.",
 )
@@ -86,6 +88,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
     """The page; links go from the folder `root`."""
     parts = [
         "# Does the paper hold?\n",
+        *([f"**{warned}**\n"] if (warned := banner(found)) else []),
         "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained Motion Planning "
         "Transformers Using Learned Sampling Dictionaries* (Johnson, Qureshi, Yip) says that CVQ-MPT …\n",
         markdown_table(summary_lines(claims)),
@@ -173,7 +176,7 @@ def committed_pages() -> dict[Path, str]:
 def stale_pages(pages: dict[Path, str]) -> list[str]:
     """A line for every page that is not as it should be."""
     return [
-        f"{path}: not what the rows say; write it with: cvqmpt claims"
+        f"{path}: not what the rows say; write it with: cvqmpt claims --write"
         for path, text in pages.items()
         if not path.is_file() or read_text(path) != text
     ]

@@ -24,6 +24,7 @@ class Compared(NamedTuple):
     gained: tuple[Pair, ...]  # that B alone solves
     lost: tuple[Pair, ...]  # that A alone solves
     changes: Mapping[str, Interval]  # of COMPARED, as reductions (fractions), over the runs that both solve
+    left_out: tuple[int, int]  # runs of A alone and of B alone, which are not compared
     same_paths: int  # runs whose paths are equal bit for bit
 
 
@@ -45,13 +46,13 @@ def compared(a: Rows, b: Rows) -> list[Compared]:
 
 def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     rows = [{(row.problem, row.seed): row for row in run} for run in (a, b)]
-    for here, there, what in ((rows[0], rows[1], "A"), (rows[1], rows[0], "B")):
-        alone = [pair for pair in here if pair not in there]
-        if alone:
-            raise InvalidInputError(
-                f"{planner}: {len(alone)} runs are in {what} alone ({named(alone)}); run the same problems and seeds"
-            )
-    pairs = [(pair, rows[0][pair], rows[1][pair]) for pair in rows[0]]
+    pairs = [(pair, row, rows[1][pair]) for pair, row in rows[0].items() if pair in rows[1]]
+    if not pairs:
+        raise InvalidInputError(
+            f"{planner}: no run in common: A has {named(rows[0])}, B has {named(rows[1])}; run the same ones"
+        )
+    left_out = len(rows[0]) - len(pairs), len(rows[1]) - len(pairs)
+    a, b = [old for _, old, _ in pairs], [new for _, _, new in pairs]
     return Compared(
         planner=planner,
         pairs=len(pairs),
@@ -59,6 +60,7 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
         gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
         lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
         changes={name: less(paired_ratio(b, a, value)) for name, value in COMPARED.items()},
+        left_out=left_out,
         same_paths=sum(old.path_sha256 == new.path_sha256 is not None for _, old, new in pairs),
     )
 
@@ -71,11 +73,29 @@ def named(pairs: Collection[Pair]) -> str:
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
     """A line a planner."""
-    lines = [["planner", "runs", "solved A, B [%]", *(f"{name} [%]" for name in COMPARED), "same paths"]]
+    lines = [
+        [
+            "planner",
+            "runs",
+            "left out of A, B",
+            "solved A, B [%]",
+            *(f"{name} [%]" for name in COMPARED),
+            "same paths",
+        ]
+    ]
     for item in found:
         solved = ", ".join(number(part.estimate) for part in item.solved)
         changes = [change(part) if part.estimate is not None else "–" for part in item.changes.values()]
-        lines.append([item.planner, str(item.pairs), solved, *changes, str(item.same_paths)])
+        lines.append(
+            [
+                item.planner,
+                str(item.pairs),
+                "{}, {}".format(*item.left_out),
+                solved,
+                *changes,
+                str(item.same_paths),
+            ]
+        )
     return lines
 
 

@@ -19,6 +19,10 @@ SHARES: Mapping[str, tuple[Callable[[ResultRow], bool], Callable[[ResultRow], bo
 """By metric: which runs, and what is counted of them."""
 
 
+PRECISION = 0.2
+"""Width of a 95 % interval up to which a number inside it is called compatible, and a difference unclear."""
+
+
 class Ruling(StrEnum):
     """What an interval says of a stated number."""
 
@@ -27,6 +31,7 @@ class Ruling(StrEnum):
     LESS = "less than stated"
     MORE = "not confirmed: more of it"
     UNCLEAR = "not confirmed: no clear difference"
+    TOO_FEW = "too few runs to tell"
     UNJUDGED = "not judged: too few that both solved"
 
     @property
@@ -69,7 +74,7 @@ def _share(statement: Statement, rows: Rows) -> Verdict:
     elif ours.high < statement.stated:
         found = Ruling.LESS
     elif ours.low < statement.stated:
-        found = Ruling.COMPATIBLE
+        found = Ruling.COMPATIBLE if _precise(ours) else Ruling.TOO_FEW
     return Verdict(statement, NOTHING, statement.stated, ours, found)
 
 
@@ -99,10 +104,17 @@ def ruling(ours: Interval, stated: float) -> Ruling:
     if ours.low > 0.0 and ours.low >= stated:
         return Ruling.CONFIRMED
     if stated > 0.0 and ours.high >= stated:
-        return Ruling.COMPATIBLE
+        return Ruling.COMPATIBLE if _precise(ours) else Ruling.TOO_FEW
     if ours.low > 0.0:
         return Ruling.LESS
-    return Ruling.MORE if ours.high < 0.0 else Ruling.UNCLEAR
+    if ours.high < 0.0:
+        return Ruling.MORE
+    return Ruling.UNCLEAR if _precise(ours) else Ruling.TOO_FEW
+
+
+def _precise(ours: Interval) -> bool:
+    """Whether an interval is narrow enough to judge a number inside it."""
+    return ours.low is not None and ours.high is not None and ours.high - ours.low <= PRECISION
 
 
 def statement_lines(verdicts: Sequence[Verdict]) -> Lines:

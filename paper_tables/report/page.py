@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import sessions
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables.claims import Evidence, evidence_below, judged_claims, read_evidence
+from paper_tables.claims import Evidence, banner, evidence_below, judged_claims, read_evidence
 from paper_tables.claims_page import TERMS, summary_lines, wall_clock
 from paper_tables.measures import REFERENCE, VALUES, Rows, work
 from paper_tables.paper_numbers import read_published
@@ -49,6 +49,7 @@ def report_html(directory: Path, report: Callable[[int, int], None] = lambda don
     data = [{key: section[key] for key in ("name", "rows", "again")} for section in sections]
     return environment.get_template(TEMPLATE).render(
         title="CVQ-MPT, reproduced",
+        banner=banner(found),
         claims=summary_lines(claims) if any(item.verdicts for item in claims) else [],
         styles=STYLES,
         terms=TERMS,
