@@ -11,9 +11,8 @@ from cvqmpt_lab.vqmpt.weights import weights_digest
 
 def findings(capsys):
     """State and text of everything that was printed, by name."""
-    found = re.findall(
-        r"^(ok|BROKEN|without) +(\S+) +(.*(?:\n {20}.*)*)", capsys.readouterr().out, re.MULTILINE
-    )
+    line = r"^(ok|BROKEN|without) +(\S+) +(.*(?:\n {20}.*)*)"
+    found = re.findall(line, capsys.readouterr().out, re.MULTILINE)
     return {what: (state, " ".join(text.split())) for state, what, text in found}
 
 

@@ -126,11 +126,9 @@ def test_only_rigid_poses_are_poses(matrix, fault):
 
 def test_poses_are_written_by_people_in_three_ways():
     turned = pose((1.0, 2.0, 3.0), np.pi / 2)
-    for data in (
-        turned.tolist(),
-        {"xyz": [1, 2, 3], "rpy": [0, 0, np.pi / 2]},
-        {"xyz": [1, 2, 3], "quaternion": [0, 0, np.sqrt(0.5), np.sqrt(0.5)]},
-    ):
+    quaternion = [0, 0, np.sqrt(0.5), np.sqrt(0.5)]
+    turns = {"rpy": [0, 0, np.pi / 2]}, {"quaternion": quaternion}
+    for data in (turned.tolist(), *({"xyz": [1, 2, 3], **turn} for turn in turns)):
         np.testing.assert_allclose(from_plain(Thing, BALL | {"place": data}).place, turned, atol=1e-15)
     rolled = from_plain(Thing, BALL | {"place": {"rpy": [np.pi / 2, 0.0, np.pi / 2]}}).place
     roll_first = rolled[:3, :3] @ (0, 1, 0)  # about the fixed x

@@ -134,9 +134,8 @@ def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, 
     for q in states[~empty.in_collision_batch(states)]:
         pin.updateGeometryPlacements(robot.model, data, robot.collision_model, found, q)
         T_bar = robot.pose(q) @ bar.T_hand_object
-        room, nearest = min(
-            (shape_distance(shape, T_bar, g.geometry, found.oMg[n].homogeneous), g.name) for n, g in others
-        )
+        links = ((g, found.oMg[n].homogeneous) for n, g in others)
+        room, nearest = min((shape_distance(shape, T_bar, g.geometry, T), g.name) for g, T in links)
         before += room < -CONTACT and "link6" in nearest
         if room < -CONTACT:
             assert carrying.in_collision(q) and not space.valid(q)

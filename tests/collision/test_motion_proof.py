@@ -18,9 +18,8 @@ HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
 def sampled(motion, spacing):
     """States of straight motions through rows of motion, at most `spacing` [rad] apart."""
-    return np.concatenate(
-        [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / spacing)) for a, b in pairwise(motion)]
-    )
+    counts = (2 + int(np.linalg.norm(b - a) / spacing) for a, b in pairwise(motion))
+    return np.concatenate([np.linspace(a, b, n) for (a, b), n in zip(pairwise(motion), counts, strict=True)])
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -13,11 +13,7 @@ from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import (
-    TOLERANCE,
-    RegionConstraint,
-    TaskSpaceRegionChain,
-)
+from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named

@@ -9,12 +9,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.statistics import Interval
 from paper_tables.claims import evidence_below, judged_claims
-from paper_tables.claims_page import (
-    committed_pages,
-    page_text,
-    stale_pages,
-    with_summary,
-)
+from paper_tables.claims_page import committed_pages, page_text, stale_pages, with_summary
 from paper_tables.judging import Ruling, ruling
 from paper_tables.report.page import report_html
 

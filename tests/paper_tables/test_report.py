@@ -19,9 +19,8 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    folder = a_results_folder(
-        tmp_path_factory.mktemp("results"), cvq_mpt=1.0, opt_cvq_mpt=0.8, ompl_projected=4.0, birrt=2.0
-    )
+    times = {"cvq_mpt": 1.0, "opt_cvq_mpt": 0.8, "ompl_projected": 4.0, "birrt": 2.0}
+    folder = a_results_folder(tmp_path_factory.mktemp("results"), **times)
     path = folder / "place-task" / RUNS_FILE
     rows = [a_row(f"p{k}", EVIL, suite="place-task", t_total_s=1.0, path_length_rad=5.0) for k in range(9)]
     write_rows(path, [*read_rows(path), *rows, a_failure("p9", EVIL, suite="place-task", detail="</table>&")])

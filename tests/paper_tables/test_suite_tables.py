@@ -30,10 +30,8 @@ def phases(planner, task, planning, execution, solved=True, **values):
     for k, name in enumerate(PHASES, 1):
         shared = {"suite": "multi-sequence", "t_total_s": planning, **values}
         reason = "timeout" if k == 1 else "not_reached"
-        make, own = (
-            (a_row, {"execution_time_s": execution}) if solved else (a_failure, {"fail_reason": reason})
-        )
-        rows.append(make(f"{task}/{k}-{name}", planner, **shared, **own))
+        own = {"execution_time_s": execution} if solved else {"fail_reason": reason}
+        rows.append((a_row if solved else a_failure)(f"{task}/{k}-{name}", planner, **shared, **own))
     return rows
 
 

@@ -127,9 +127,7 @@ def test_decoder(z):
 def test_mixture(seed, k, n, share):
     """Draws have the mixture's mass: each of its Gaussians' share, mean and spread, and the uniform share."""
     rng = np.random.default_rng(seed)
-    means = 100.0 * np.arange(k)[:, None] + rng.uniform(
-        -1.0, 1.0, (k, n)
-    )  # far apart: draws tell whose they are
+    means = 100.0 * np.arange(k)[:, None] + rng.uniform(-1.0, 1.0, (k, n))  # draws tell whose they are
     roots = np.tril(rng.normal(size=(k, n, n)), -1) + rng.uniform(0.3, 2.0, (k, 1, n)) * np.eye(n)
     covariances, weights = roots @ roots.swapaxes(1, 2), rng.dirichlet(np.ones(k))
     uniform = Uniform(np.full(n, -2000.0), np.full(n, -1000.0))

@@ -47,11 +47,9 @@ def grasp():
 def pieces(robot, q):
     """World vertices of each piece by the kernels' poses."""
     (R,), (t,) = link_poses(robot.kinematics, np.array([q]))
-    return {
-        p.name: (p.vertices @ p.T_link_geometry[:3, :3].T + p.T_link_geometry[:3, 3]) @ R[p.link].T
-        + t[p.link]
-        for p in robot.links
-    }
+    frames = ((p, p.T_link_geometry) for p in robot.links)
+    in_link = ((p.name, p.link, p.vertices @ T[:3, :3].T + T[:3, 3]) for p, T in frames)
+    return {name: vertices @ R[link].T + t[link] for name, link, vertices in in_link}
 
 
 @pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER])

@@ -90,10 +90,8 @@ def placed(robot, geometry, q):
     """World points (k, 3) of every piece, by pinocchio."""
     data, results = robot.model.createData(), pin.GeometryData(geometry)
     pin.updateGeometryPlacements(robot.model, data, geometry, results, q)
-    return [
-        hull_vertices(item.geometry) @ results.oMg[k].rotation.T + results.oMg[k].translation
-        for k, item in enumerate(geometry.geometryObjects)
-    ]
+    items = zip(geometry.geometryObjects, results.oMg, strict=True)
+    return [hull_vertices(item.geometry) @ T.rotation.T + T.translation for item, T in items]
 
 
 @pytest.mark.parametrize("name", ["panda", "slider_arm"])

@@ -10,12 +10,7 @@ from cvqmpt_lab.planners import Method
 from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.query import Deadline, GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import (
-    Roadmap,
-    RoadmapPath,
-    RoadmapQuery,
-    RoadmapSettings,
-)
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath, RoadmapQuery, RoadmapSettings
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings

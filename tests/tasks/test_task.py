@@ -117,9 +117,8 @@ def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
             before.after(phase)
         return
     held = before.after(phase).held.attachment
-    np.testing.assert_allclose(
-        before.arm.pose(before.q) @ held.T_hand_object, item.T_world_object, atol=1e-12
-    )
+    T_world_held = before.arm.pose(before.q) @ held.T_hand_object
+    np.testing.assert_allclose(T_world_held, item.T_world_object, atol=1e-12)
     assert held == can and held.shape == item.shape
 
 
