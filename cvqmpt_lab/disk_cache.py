@@ -27,18 +27,24 @@ def sources_digest(*places: Path) -> str:
 
 
 def cached_arrays(
-    kind: str, made_of: bytes, make: Callable[[], Mapping[str, np.ndarray]]
+    kind: str,
+    made_of: bytes,
+    make: Callable[[], Mapping[str, np.ndarray]],
+    fits: Callable[[Mapping[str, np.ndarray]], bool] = lambda arrays: True,
 ) -> dict[str, np.ndarray]:
     """What `make` returns, read from the cache if it is there.
 
     kind: folder of the cache. made_of: all that the arrays depend on, the sources that make them included.
+    fits: whether arrays that were read can be what `make` returns; if not, they are made anew.
     """
     name = f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
     with (
         contextlib.suppress(OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile),
         np.load(io.BytesIO(read_cached(kind, name)), allow_pickle=False) as found,
     ):
-        return dict(found)
+        read = dict(found)
+        if fits(read):
+            return read
     made: dict[str, Any] = dict(make())
     written = io.BytesIO()
     np.savez(written, **made)

@@ -12,11 +12,15 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
 from cvqmpt_lab.search.query import Stages
+from cvqmpt_lab.search.roadmap import RoadmapPath, no_costs, other_costs
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.sampler_choice import NAMED, PREFIX, SamplerChoice
+
+VQ_MPT = "vq_mpt"  # the shipped weights
+UNIFORM, HALTON = "uniform", "halton"  # sequences of `search.roadmap_nodes`
+UNIFORM_DRAWS = 3  # of independent nodes: what is luck among roadmaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +28,9 @@ class Method:
     """A planner by name."""
 
     name: str
-    build: Callable[[Robot, str], Stages]  # of a robot and a model, see `stages`
+    build: Callable[
+        [PlanningProblem, str], Stages
+    ]  # of a problem's robot and load, and a model, see `stages`
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
     needs_constraint: bool = False
     needs_charts: bool = (
@@ -37,7 +43,7 @@ class Method:
     def simple(name: str, **stages: Any) -> "Method":
         """A planner without weights, its stages given as they are."""
         fixed = Stages(**stages)
-        return Method(name, lambda robot, model: fixed)
+        return Method(name, lambda problem, model: fixed)
 
     def with_model(self, model: str) -> "Method":
         """The same on other weights; InvalidInputError when it uses none."""
@@ -48,8 +54,8 @@ class Method:
     def with_cloud(self, points: np.ndarray) -> "Method":
         """The same on measured points (p, 3) [m, base frame]; its stages refuse to be made if it takes no cloud."""
 
-        def build(robot: Robot, model: str) -> Stages:
-            stages = self.build(robot, model)
+        def build(problem: PlanningProblem, model: str) -> Stages:
+            stages = self.build(problem, model)
             if not isinstance(stages.observe, Observer):
                 raise InvalidInputError(f"{self.name} uses no cloud: leave the cloud out")
             cloud = stages.observe.of_points(points)
@@ -74,12 +80,12 @@ class Method:
         return incompatibility(self.model or self.weights, self.weights, robot_signature(problem.robot))
 
     def stages(self, problem: PlanningProblem) -> Stages:
-        """What it does with the robot of a problem that it can serve."""
-        return self.build(problem.robot, self.model or self.weights or "")
+        """What it does with the robot of a problem that it can serve, and what it carries."""
+        return self.build(problem, self.model or self.weights or "")
 
 
 def _ompl(name: str, manifold: str) -> Method:
-    def build(robot: Robot, model: str) -> Stages:
+    def build(problem: PlanningProblem, model: str) -> Stages:
         from cvqmpt_lab.search.ompl_planners import OmplSearch  # ompl takes 0.3 s to import
 
         return Stages(search=OmplSearch(manifold))
@@ -87,15 +93,35 @@ def _ompl(name: str, manifold: str) -> Method:
     return Method(name, build, needs_constraint=True, needs_charts=manifold != "projected")
 
 
-def _learned(planner: str, builder: str, weights: str = "vq_mpt", **options: Any) -> Method:
+def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) -> Method:
     """A planner whose stages are made by a function of `vqmpt.stages`."""
 
-    def build(robot: Robot, model: str) -> Stages:
+    def build(problem: PlanningProblem, model: str) -> Stages:
         from cvqmpt_lab.vqmpt import stages  # reads weights
 
-        return getattr(stages, builder)(robot, model, **options)
+        return getattr(stages, builder)(problem.robot, model, **options)
 
     return Method(planner, build, weights)
+
+
+def _roadmap(
+    name: str, weights: str | None = None, sequence: str = HALTON, draw: int = 0, **search: Any
+) -> Method:
+    """A roadmap of a dictionary's nodes where there are weights, else of spread ones; search: of `RoadmapPath`."""
+
+    def build(problem: PlanningProblem, model: str) -> Stages:
+        robot, load = problem.robot, problem.attachments
+        if weights is None:
+            from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
+
+            roadmap = spread_roadmap(robot, load, sequence, draw)
+        else:
+            from cvqmpt_lab.vqmpt.stages import free_dictionary  # reads weights
+
+            roadmap = free_dictionary(model, robot, load)
+        return Stages(predict=RoadmapPath(roadmap, name, **search))
+
+    return Method(name, build, weights)
 
 
 def _product(name: str, choice: SamplerChoice) -> Method:
@@ -119,7 +145,8 @@ PLANNERS = _by_name(
     _learned("mpnet", "mpnet", weights="mpnet"),  # the paper's MPNet (w/ proj)
     _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),  # trees join its sides too
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
-    _learned("roadmap-cvq", "roadmap_path"),
+    _roadmap("roadmap"),
+    _roadmap("roadmap-cvq", VQ_MPT),
 )
 
 ISOLATED = {
@@ -135,9 +162,10 @@ CONTROLS = _by_name(
     Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide"))),
     _straight_line("straight-line", 0.15),
     _straight_line("straight-line-only", 0.0),
-    _learned("roadmap-wrong-cloud", "roadmap_path", cloud="other-cloud"),
-    _learned("roadmap-no-cloud", "roadmap_path", cloud="no-cloud"),
-    _learned("roadmap-true-edges", "roadmap_path", oracle=True),
+    *(_roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw) for draw in range(UNIFORM_DRAWS)),
+    _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
+    _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
+    _roadmap("roadmap-true-edges", VQ_MPT, costs=no_costs, oracle=True),
     Method.simple("solved-paths", predict=SolvedPaths(AroundPath("solved-paths", std=0.25))),
     *(_product(name, SamplerChoice.of(words)) for name, words in ISOLATED.items()),
 )
@@ -154,10 +182,12 @@ REMOVED = {
     "cvq-cheapest": "graph-cvq",
     "cvq-constraint-trained": "opt-cvq-mpt",
     "route-constraint-trained": "roadmap-cvq",
-    "route-wrong-cloud": "roadmap-wrong-cloud",
-    "route-no-cloud": "roadmap-no-cloud",
+    "route-wrong-cloud": "roadmap-wrong-scene",
+    "route-no-cloud": "roadmap-no-scene",
+    "roadmap-wrong-cloud": "roadmap-wrong-scene",
+    "roadmap-no-cloud": "roadmap-no-scene",
     "route-cheapest": "roadmap-cvq",
-    "roadmap-blind": "roadmap-no-cloud",
+    "roadmap-blind": "roadmap-no-scene",
     "roadmap-sampler": "roadmap-cvq",
     "roadmap-update": "opt-cvq-mpt",
 }

@@ -63,6 +63,7 @@ CASES: tuple[Case, ...] = (
             ("opt-cvq-mpt", (2, 5), SUITE),
             ("cvq-wide", (5,), SUITE),
             ("graph-cvq", (5,), SUITE),
+            ("roadmap", (2, 5, 8), SUITE),
             ("roadmap-cvq", (2, 5, 8), SUITE),
             ("cvq:transformer+wide+projected+no-cloud", (5,), "factorial"),
             ("cvq:random+decoded+algorithm-2+uniform=0.15", (5,), "factorial"),

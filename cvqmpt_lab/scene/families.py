@@ -67,6 +67,11 @@ def family_scene(family: str, number: int) -> Scene:
     return FAMILIES[family](whole_number("number of the scene", number))
 
 
+def another_scene() -> Scene:
+    """What controls are shown in place of a problem's own scene."""
+    return family_scene("shelves", 77)
+
+
 def _table(number: int) -> Scene:
     """A table in front of the robot with boxes, cylinders and balls on it."""
     rng = np.random.default_rng([1, number])

@@ -2,17 +2,19 @@
 
 A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node and edge that
 has not been found blocked. The nodes of the path it returns are projected and checked, then its edges, coarsely;
-what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it. Where a cloud
-is seen, an edge not yet checked costs more the less likely it is to be free.
+what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it. An edge not
+yet checked costs more the less likely it is to be free; that is computed when the search takes the edge, not before.
 """
 
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.robot.kinematics import forward_kinematics
+from cvqmpt_lab.search.edge_costs import EdgeCosts, edge_nll
 from cvqmpt_lab.search.motion import Space, bisect_motion, distance, project_state, state_valid
-from cvqmpt_lab.vqmpt.clearances import EdgeArrays, edge_nll
 
 
 @kernel(inline="machine")
@@ -57,19 +59,21 @@ class Roadmap(NamedTuple):
     goal_edge: Annotated[np.ndarray, "int8 inner goals"]
     """Verdicts on the edges from each row to each goal; BLOCKED where there is none."""
     node: Annotated[np.ndarray, "int8 rows"]  # verdicts
-    collision_weight: float  # what -log P(free) of an edge costs [rad]; 0: edges cost their length
+    penalty: float  # edges at a node cost 1 + penalty * |F| times their length
     nll: Annotated[np.ndarray, "inner exits"]
     """-log P(free) of each edge, and of those to each goal, where they were computed."""
     known: Annotated[np.ndarray, "int8 inner exits"]
     """One more than how many of an edge's ends were on the manifold when its nll was computed; 0: not yet."""
-    factor: Annotated[np.ndarray, "rows"]  # >= 1, how much longer edges at a node count
+    factor: Annotated[np.ndarray, "rows"]  # >= 1, how much longer edges at a node count; 0: not yet computed
     to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
     cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
     parent: Annotated[np.ndarray, "int32 rows"]  # row before each one
     slot: Annotated[np.ndarray, "int32 rows"]  # edge by which each row was reached
     closed: Annotated[np.ndarray, "int8 rows"]  # rows that are done
     heap: Annotated[np.ndarray, "queue"]  # costs in the queue
-    heap_node: Annotated[np.ndarray, "int32 queue"]  # their rows
+    heap_edge: Annotated[
+        np.ndarray, "int32 queue"
+    ]  # their edges: 2 (row * exits + slot), and 1 with -log P(free)
 
 
 @entry
@@ -116,60 +120,100 @@ def link_query(
     for slot in range(chosen.shape[0]):
         roadmap.neighbours[count, slot] = chosen[slot]
     for g in range(goals):
-        for i in range(count + 1):
+        for i in range(count):
             roadmap.goal_edge[i, g] = BLOCKED
+        roadmap.goal_edge[count, g] = UNKNOWN
         nearest_nodes(roadmap.nodes, count, roadmap.nodes[count + 1 + g], chosen, squares)
         for slot in range(chosen.shape[0]):
             roadmap.goal_edge[chosen[slot], g] = UNKNOWN
 
 
+@kernel(inline="machine")
+def _state(roadmap, here, there):
+    """One more than how many ends of an edge have been put on the manifold."""
+    return 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
+
+
 @kernel(inline="source")
-def _edge_cost(kinematics, roadmap, edges, here, slot, there, verdict):
-    """Weighted -log P(free) [rad] of an edge, computed again once an end has been projected; 0 for one that is free."""
-    if roadmap.collision_weight == 0.0 or verdict == FREE:
-        return 0.0
-    state = 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
-    if roadmap.known[here, slot] != state:
-        roadmap.known[here, slot] = state
-        roadmap.nll[here, slot] = edge_nll(kinematics, edges, roadmap.nodes[here], roadmap.nodes[there])
-    return roadmap.collision_weight * roadmap.nll[here, slot]
+def _factor(space, roadmap, i):
+    """How much longer edges at node i count: 1 + penalty |F|, of where the node was first seen."""
+    if roadmap.factor[i] == 0.0:
+        scratch = space.scratch
+        forward_kinematics(
+            space.kinematics, roadmap.nodes[i], scratch.link_rotation, scratch.link_translation
+        )
+        square = residual(
+            space.regions,
+            scratch.link_rotation,
+            scratch.link_translation,
+            scratch.residual,
+            scratch.displacement,
+        )
+        roadmap.factor[i] = 1.0 + roadmap.penalty * np.sqrt(square)
+    return roadmap.factor[i]
 
 
 @kernel
-def _astar(kinematics, roadmap, edges):
-    """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the path."""
+def _astar(space, roadmap, costs):
+    """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the path.
+
+    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length, and is judged when
+    it comes out of it.
+    """
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
-    start = roadmap.nodes.shape[0] - 1 - goals
+    start, exits, size = roadmap.nodes.shape[0] - 1 - goals, k + goals, 0
     for i in range(roadmap.nodes.shape[0]):
         roadmap.cost[i], roadmap.parent[i], roadmap.closed[i] = np.inf, -1, 0
-    roadmap.cost[start] = 0.0
-    heap, heap_node = roadmap.heap, roadmap.heap_node
-    push(heap, heap_node, 0, roadmap.to_go[start], start)
-    size = 1
-    while size > 0:
-        here = np.int64(heap_node[0])
-        drop_smallest(heap, heap_node, size)
-        size -= 1
-        if roadmap.closed[here]:
-            continue
-        roadmap.closed[here] = 1
-        if here > start:
-            return here
-        for slot in range(k + goals):
+    here, roadmap.cost[start], roadmap.closed[start] = start, 0.0, 1
+    while 0 <= here <= start:
+        for slot in range(exits):
             there = np.int64(roadmap.neighbours[here, slot]) if slot < k else start + 1 + slot - k
             verdict = roadmap.edge[here, slot] if slot < k else roadmap.goal_edge[here, slot - k]
             if there < 0 or verdict == BLOCKED or roadmap.node[there] == BLOCKED or roadmap.closed[there]:
                 continue
-            weight = 0.5 * (roadmap.factor[here] + roadmap.factor[there])
-            cost = roadmap.cost[here] + weight * distance(roadmap.nodes[here], roadmap.nodes[there])
-            if cost >= roadmap.cost[there]:
+            length = distance(roadmap.nodes[here], roadmap.nodes[there])
+            if roadmap.cost[here] + length >= roadmap.cost[there]:
                 continue
-            cost += _edge_cost(kinematics, roadmap, edges, here, slot, there, verdict)
-            if cost < roadmap.cost[there] and size < heap.shape[0]:
-                roadmap.cost[there], roadmap.parent[there], roadmap.slot[there] = cost, here, slot
-                push(heap, heap_node, size, cost + roadmap.to_go[there], there)
+            weight = 0.5 * (_factor(space, roadmap, here) + _factor(space, roadmap, there))
+            cost, state = roadmap.cost[here] + weight * length, _state(roadmap, here, there)
+            judged = costs.weight == 0.0 or verdict == FREE or roadmap.known[here, slot] == state
+            if judged and verdict != FREE and costs.weight > 0.0:
+                cost += costs.weight * roadmap.nll[here, slot]
+            if cost < roadmap.cost[there] and size < roadmap.heap.shape[0]:
+                if judged:
+                    roadmap.cost[there] = cost
+                push(
+                    roadmap.heap,
+                    roadmap.heap_edge,
+                    size,
+                    cost + roadmap.to_go[there],
+                    2 * (here * exits + slot) + judged,
+                )
                 size += 1
-    return -1
+        here = -1
+        while size > 0 and here < 0:
+            key, edge = roadmap.heap[0], np.int64(roadmap.heap_edge[0])
+            drop_smallest(roadmap.heap, roadmap.heap_edge, size)
+            size -= 1
+            row, slot, judged = edge // 2 // exits, edge // 2 % exits, edge % 2 == 1
+            there = np.int64(roadmap.neighbours[row, slot]) if slot < k else start + 1 + slot - k
+            if roadmap.closed[there]:
+                continue
+            cost = key - roadmap.to_go[there]
+            if not judged:
+                roadmap.known[row, slot] = _state(roadmap, row, there)
+                roadmap.nll[row, slot] = edge_nll(space, costs, roadmap.nodes[row], roadmap.nodes[there])
+                cost += costs.weight * roadmap.nll[row, slot]
+                if cost >= roadmap.cost[there]:
+                    continue
+                roadmap.cost[there] = cost
+                if size > 0 and roadmap.heap[0] < cost + roadmap.to_go[there]:
+                    push(roadmap.heap, roadmap.heap_edge, size, cost + roadmap.to_go[there], edge + 1)
+                    size += 1
+                    continue
+            here, roadmap.cost[there], roadmap.closed[there] = there, cost, 1
+            roadmap.parent[there], roadmap.slot[there] = row, slot
+    return here
 
 
 @kernel(inline="source")
@@ -218,7 +262,7 @@ def _join_nodes(space, roadmap, path, length, ends, states):
 def search(
     space: Space,
     roadmap: Roadmap,
-    edges: EdgeArrays,
+    costs: EdgeCosts,
     most_searches: int,
     drift: float,
     path: Annotated[np.ndarray, "int64 longest"],
@@ -240,7 +284,7 @@ def search(
     """
     length = 0
     for searched in range(most_searches):
-        row, length = _astar(space.kinematics, roadmap, edges), 0
+        row, length = _astar(space, roadmap, costs), 0
         while row >= 0 and length < path.shape[0]:
             path[length] = row
             length += 1

@@ -1,20 +1,40 @@
 """A roadmap searched lazily under a constraint, and the planner that takes its path at once (`roadmap-cvq`)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cvqmpt_lab.collision.arrays import scene_arrays
+from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.query import Deadline, GaussianMixture, Observation, Proposal, Query
-from cvqmpt_lab.search.result import JointPath, Timings
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, without_cloud
 
 LONGEST_PATH = 256  # nodes
+FEWEST = 2  # nodes of a roadmap
+TURN = 2.0 * np.pi  # [rad]
 QUEUE = 32  # entries a node
 SEARCHES_AT_ONCE = 16  # before the clock is read
+
+
+def nearest_rows(nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool = False) -> np.ndarray:
+    """Rows (t, count) of the nodes (N, n) nearest to each of targets (t, n), nearest first, at most N.
+
+    apart: targets are the nodes, each of which is not its own neighbour.
+    """
+    squares = (targets**2).sum(axis=1)[:, None] + (nodes**2).sum(axis=1) - 2.0 * targets @ nodes.T
+    if apart:
+        np.fill_diagonal(squares, np.inf)
+    count = min(count, len(nodes) - apart)
+    near = np.argpartition(squares, count - 1, axis=1)[:, :count]
+    order = np.argsort(np.take_along_axis(squares, near, axis=1), axis=1, kind="stable")
+    return np.take_along_axis(near, order, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,21 +42,32 @@ class Roadmap:
     """Configurations to plan through, each linked to its nearest ones."""
 
     nodes: np.ndarray  # (N, n) [rad]
-    covariances: np.ndarray  # (N, n, n) [rad^2] of the Gaussians that samples around nodes come from
-    neighbours: np.ndarray  # (N, k) int32, the nearest nodes of each
+    neighbours: np.ndarray  # (N, k) int32, nodes near each, nearest first; -1 for none
 
     @staticmethod
-    def of(nodes: np.ndarray, covariances: np.ndarray, neighbours: int = 12) -> "Roadmap":
+    def of(nodes: np.ndarray, neighbours: int = 12) -> "Roadmap":
         """Link each node to its nearest ones; InvalidInputError when there are not more nodes than neighbours."""
         if len(nodes) <= neighbours:
             raise InvalidInputError(f"a roadmap of {len(nodes)} nodes; give more than {neighbours}")
-        table = np.empty((len(nodes), neighbours), dtype=np.int32)
-        for i, node in enumerate(nodes):
-            squares = ((nodes - node) ** 2).sum(axis=1)
-            squares[i] = np.inf
-            near = np.argpartition(squares, neighbours)[:neighbours]
-            table[i] = near[np.argsort(squares[near])]
-        return Roadmap(nodes, covariances, table)
+        return Roadmap(nodes, nearest_rows(nodes, nodes, neighbours, apart=True).astype(np.int32))
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of samples around a node (n, n) [rad^2]: on average they lie as far from it as the nearest node."""
+        linked = self.neighbours[:, 0] >= 0
+        squares = ((self.nodes[self.neighbours[linked, 0]] - self.nodes[linked]) ** 2).sum(axis=1)
+        n = self.nodes.shape[1]
+        return np.eye(n) * (squares.mean() if linked.any() else 1.0) / n
+
+    def near(self, start: np.ndarray, robot: Robot) -> "Roadmap":
+        """The same with joints that turn more than once turned as near to start (n,) as their limits allow."""
+        turns = ~robot.kinematics.prismatic & (robot.upper - robot.lower > TURN)
+        if not turns.any():
+            return self
+        nodes, low, high = self.nodes.copy(), robot.lower[turns], robot.upper[turns]
+        turned = nodes[:, turns] + TURN * np.round((start[turns] - nodes[:, turns]) / TURN)
+        nodes[:, turns] = turned + TURN * ((turned < low).astype(float) - (turned > high))
+        return replace(self, nodes=nodes)
 
 
 @dataclass(frozen=True)
@@ -48,7 +79,22 @@ class RoadmapSettings:
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
     searches: int = 100  # at most; each ends at a path, or at the first edge that turns out blocked
     step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
-    collision_weight: float = 2.0  # [rad] cost of an edge's -log P(free), where there is a cloud
+
+
+def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
+    """Edge costs in the scene that a space checks, whose distances its checker has computed already."""
+    return EdgeCosts(space.arrays.scene.grid)
+
+
+def no_costs(space: ConstrainedSpace) -> EdgeCosts:
+    """Edges cost their length, whatever the scene."""
+    return scene_costs(space)._replace(weight=0.0)
+
+
+def other_costs(space: ConstrainedSpace) -> EdgeCosts:
+    """Edge costs in another scene than the space's, for controls."""
+    reach = reach_with(space.robot, space.problem.attachments)
+    return EdgeCosts(scene_arrays(another_scene(), reach).grid)
 
 
 class RoadmapQuery:
@@ -61,12 +107,11 @@ class RoadmapQuery:
         start: np.ndarray,
         goals: np.ndarray,
         settings: RoadmapSettings,
-        edges: EdgeArrays | None = None,
+        costs: EdgeCosts | None = None,
     ) -> None:
-        """Link start (n,) and goals (k, n) to the roadmap; edges: the model of their validity, None to ignore it."""
+        """Link start (n,) and goals (k, n) to the roadmap; costs: of edges, None for those of `scene_costs`."""
         self._settings, self._space, self._arrays = settings, space, space.arrays._replace(step=settings.step)
-        self._edges = without_cloud(len(start)) if edges is None else edges
-        self._weight = 0.0 if edges is None else settings.collision_weight
+        self._costs = costs or scene_costs(space)
         self._ends, self.searches = (start, goals), 0
         verdict = np.full(len(roadmap.nodes), kernels.UNKNOWN, dtype=np.int8)
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
@@ -78,27 +123,23 @@ class RoadmapQuery:
         links = min(settings.links, count)
         neighbours = np.full((count + 1, max(links, table.shape[1])), -1, dtype=np.int32)
         neighbours[:count, : table.shape[1]] = table
-        factor = np.ones(total)
-        if settings.penalty > 0 and self._space.dim > 0:
-            violation = np.linalg.norm(self._space.problem.manifold.residual(nodes), axis=1)
-            factor[:count] += settings.penalty * violation
         self._graph = kernels.Roadmap(
             nodes=np.concatenate([nodes, start[None], goals]),
             neighbours=neighbours,
             edge=np.zeros(neighbours.shape, dtype=np.int8),
             goal_edge=np.zeros((count + 1, len(goals)), dtype=np.int8),
             node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
-            collision_weight=self._weight,
+            penalty=settings.penalty,
             nll=np.empty((count + 1, neighbours.shape[1] + len(goals))),
             known=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
-            factor=factor,
+            factor=np.zeros(total),
             to_go=np.empty(total),
             cost=np.empty(total),
             parent=np.empty(total, dtype=np.int32),
             slot=np.empty(total, dtype=np.int32),
             closed=np.empty(total, dtype=np.int8),
             heap=np.empty(QUEUE * total),
-            heap_node=np.empty(QUEUE * total, dtype=np.int32),
+            heap_edge=np.empty(QUEUE * total, dtype=np.int32),
         )
         self._count, self._left = count, settings.searches
         kernels.link_query(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
@@ -109,12 +150,14 @@ class RoadmapQuery:
         nodes = np.concatenate([before.nodes[:count], added])
         table = np.full((len(nodes), before.neighbours.shape[1]), -1, dtype=np.int32)
         table[:count] = before.neighbours[:count]
-        for row in range(count, len(nodes)):
-            squares = ((nodes - nodes[row]) ** 2).sum(axis=1)
-            squares[row] = np.inf
-            known, new = np.argsort(squares[:count])[:half], count + np.argsort(squares[count:-1])[:half]
-            table[row, : len(known) + len(new)] = near = np.concatenate([known, new])
-            back = near[table[near, -1] < 0]  # those that have room for one more
+        known, new = (
+            nearest_rows(nodes[:count], added, half),
+            count + nearest_rows(added, added, half, apart=True),
+        )
+        near = np.concatenate([known, new], axis=1)
+        table[count:, : near.shape[1]] = near
+        for row, targets in enumerate(near, start=count):
+            back = targets[table[targets, -1] < 0]  # those that have room for one more
             table[back, np.argmax(table[back] < 0, axis=1)] = row
         verdict = np.concatenate([before.node[:count], np.full(len(added), kernels.UNKNOWN, dtype=np.int8)])
         self._set_up(nodes, table, verdict)
@@ -138,7 +181,7 @@ class RoadmapQuery:
             kernels.block_state(self._graph, path, ends, length, bad)  # of a path that failed its fine check
             most = min(self._left, SEARCHES_AT_ONCE, deadline.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search(
-                self._arrays, self._graph, self._edges, most, self._settings.drift, path, ends, states
+                self._arrays, self._graph, self._costs, most, self._settings.drift, path, ends, states
             )
             self._space.reraise()
             self._left -= searched
@@ -168,27 +211,31 @@ class RoadmapQuery:
 class RoadmapPath:
     """A path through the roadmap, projected node by node; samples around the nodes found free when there is none.
 
-    While there is no path, nodes near start and goals are added, which a dictionary may have none of.
+    While there is no path, nodes near start and goals are added, which a roadmap may have none of.
     """
 
     roadmap: Roadmap
-    name: str = "roadmap-cvq"
+    name: str
     settings: RoadmapSettings = field(default_factory=RoadmapSettings)
     uniform_share: float = 0.3  # of the samples that a search gets when the roadmap holds no path
     draws: int = 3  # how often nodes near start and goals are added while there is no path
     drawn: int = 128  # nodes added at once
     spread: float = 1.0  # [rad] largest standard deviation of those from an end
-    edge_model: Callable[[Query, Observation], EdgeArrays] | None = None  # None: all edges cost their length
+    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
     oracle: bool = False  # blocked nodes and edges are known at no cost: the bound of all roadmaps
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Search the roadmap with the query's constraint."""
-        deadline, began = query.deadline, query.deadline.seconds
-        edges = self.edge_model(query, observation) if self.edge_model else None
-        timings = Timings(encode=deadline.seconds - began)
-        asked = RoadmapQuery(query.space, self.roadmap, query.start, query.goals, self.settings, edges)
+        if len(self.roadmap.nodes) < FEWEST:
+            few = f"birrt: {len(self.roadmap.nodes)} nodes are no roadmap"
+            return Proposal(query.uniform, fallback=few)
+        deadline = query.deadline
+        roadmap = self.roadmap.near(query.start, query.space.robot)
+        asked = RoadmapQuery(
+            query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space)
+        )
         if self.oracle:
-            asked.avoid(self._searched_before(query))
+            asked.avoid(self._searched_before(query, roadmap))
         path = asked.next_path(deadline)
         for _ in range(self.draws):
             if path is not None or deadline.spent():
@@ -196,18 +243,19 @@ class RoadmapPath:
             asked.add_nodes(self._near_ends(query))
             path = asked.next_path(deadline)
         free = asked.free_nodes
-        free = free[free < len(self.roadmap.nodes)]
-        means, covariances = asked.configurations(free), self.roadmap.covariances[free]
-        around = GaussianMixture.equal(means, covariances, query.uniform, self.uniform_share, self.name)
+        known = asked.configurations(free[free < len(roadmap.nodes)])
+        around = GaussianMixture.equal(
+            known, roadmap.covariance, query.uniform, self.uniform_share, self.name
+        )
         if path is not None:
-            return Proposal(around, timings, vertices=len(free) + 2, path=path)
-        lost = f"birrt around {len(free)} free nodes: no roadmap path after {asked.searches} searches"
-        return Proposal(around, timings, vertices=len(free), fallback=lost)
+            return Proposal(around, vertices=len(free) + 2, path=path)
+        lost = f"birrt around {len(known)} free nodes: no roadmap path after {asked.searches} searches"
+        return Proposal(around, vertices=len(known), fallback=lost)
 
-    def _searched_before(self, query: Query) -> RoadmapQuery:
+    def _searched_before(self, query: Query, roadmap: Roadmap) -> RoadmapQuery:
         """A query that has found its path, or that there is none, in a space of its own."""
         aside = ConstrainedSpace(query.space.problem, query.space.backend)
-        before = RoadmapQuery(aside, self.roadmap, query.start, query.goals, self.settings)
+        before = RoadmapQuery(aside, roadmap, query.start, query.goals, self.settings, self.costs(aside))
         before.next_path(Deadline(query.deadline.budget, aside))
         return before
 

@@ -11,10 +11,11 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.search.query import Observation, Proposal, Query, Stages
-from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath
+from cvqmpt_lab.search.query import Proposal, Query, Stages
+from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.search.roadmap_nodes import linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.code_predictors import (
@@ -25,7 +26,7 @@ from cvqmpt_lab.vqmpt.code_predictors import (
     TransformerCodes,
 )
 from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
-from cvqmpt_lab.vqmpt.edge_model import EdgeArrays, EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.learned_sampler import (
     CodeGaussians,
@@ -51,7 +52,6 @@ from cvqmpt_lab.vqmpt.weights import (
 
 EDGE_PART = "sight"  # the edge validity model among the parts of a model
 POINTS = 4096  # of a cloud that becomes a distance field
-OTHER_SCENE = ("shelves", 77)  # shown by controls in place of the problem's own scene
 STEPS = 5  # of Algorithm 2
 
 
@@ -82,7 +82,13 @@ def codebook_of(model: str, robot: Robot) -> Codebook:
 def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
     """The dictionary: one configuration drawn from each code's Gaussian."""
     means, covariances = dictionary_gaussians(model_of(model), robot)
-    return Roadmap.of(drawn_nodes(means, covariances, robot, code_noise(len(means), robot.dof)), covariances)
+    return Roadmap.of(drawn_nodes(means, covariances, robot, code_noise(len(means), robot.dof)))
+
+
+@lru_cache(maxsize=8)
+def free_dictionary(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Roadmap:
+    """The same without what collides with itself."""
+    return linked_roadmap(robot, attachments, dictionary_roadmap(model, robot).nodes)
 
 
 @lru_cache(maxsize=8)
@@ -100,7 +106,7 @@ def observer(points: int | None = None) -> Observer:
 
 def other_scene(scene: Scene) -> np.ndarray:
     """The cloud of another scene, whatever the scene."""
-    return observer(POINTS)(family_scene(*OTHER_SCENE))
+    return observer(POINTS)(another_scene())
 
 
 def no_cloud(scene: Scene) -> np.ndarray:
@@ -175,25 +181,6 @@ def _scene_predictor(model: str, robot: Robot) -> SceneTransformerPredictor:
 @lru_cache(maxsize=4)
 def _predictor(model: str, robot: Robot) -> Predictor:
     return Predictor(model_of(model), robot)
-
-
-def roadmap_path(robot: Robot, model: str, cloud: str | None = None, oracle: bool = False) -> Stages:
-    """The dictionary as a roadmap, projected node by node, searched for a path along edges that look free.
-
-    cloud: of CLOUDS, in place of the scene's. oracle: no cloud, but what is blocked is known.
-    """
-    roadmap = dictionary_roadmap(model, robot)
-    if cloud == "no-cloud" or oracle or EDGE_PART not in model_of(model).parts:
-        return Stages(predict=RoadmapPath(roadmap, oracle=oracle))
-    predict = RoadmapPath(roadmap, edge_model=partial(_edge_arrays, model))
-    return Stages(predict=predict, observe=CLOUDS.get(cloud or "", observer(POINTS)))
-
-
-def _edge_arrays(model: str, query: Query, observation: Observation) -> EdgeArrays:
-    """The edge validity model for the query's robot, and what it carries, in the observed cloud."""
-    assert observation.cloud is not None
-    found = edge_model(model, query.space.robot, query.space.problem.attachments)
-    return found.arrays(observation.cloud, observation.use_cache)
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:

@@ -21,7 +21,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import write_cloud
-from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.scene.families import FAMILIES, another_scene, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
@@ -37,7 +37,7 @@ from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, solids_of, views_of
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
-from cvqmpt_lab.vqmpt.stages import OTHER_SCENE, POINTS, dictionary_roadmap
+from cvqmpt_lab.vqmpt.stages import POINTS, dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 from experiments.bench.measurement import CpuTimes, Measurement
 
@@ -81,7 +81,7 @@ def bench_sight(scenes: int) -> Iterator[Measurement]:
         raise InvalidInputError("the model has no edge validity model; train one: cvqmpt train edge-model")
     edges = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot)
     graph = roadmap_graph(robot, dictionary_roadmap("vq_mpt", robot))
-    other = camera_cloud(family_scene(*OTHER_SCENE), AROUND, np.random.default_rng(0))
+    other = camera_cloud(another_scene(), AROUND, np.random.default_rng(0))
     numbers = range(FIRST_SCENE, FIRST_SCENE + scenes)
     for family in (*FAMILIES, KITCHEN):
         seen: dict[str, list[Examples]] = {name: [] for name in (*CAMERAS, OTHER)}

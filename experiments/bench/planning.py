@@ -159,7 +159,7 @@ def _solved_in_worker(name: str, environments: list[int]) -> tuple[int, float, f
         stages = replace(stages, observe=observer)
         for problem in problems:
             observer(problem.scene)
-    method = replace(method, build=lambda robot, weights: stages)
+    method = replace(method, build=lambda problem, weights: stages)
     warm_up(problems[0], method, "compiled")
     wall, cpu = time.perf_counter(), time.process_time()
     solutions = solve_many(problems, method, ENOUGH)

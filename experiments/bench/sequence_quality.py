@@ -20,7 +20,7 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.families import family_scene
+from cvqmpt_lab.scene.families import another_scene, family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import motion_free
@@ -29,7 +29,7 @@ from cvqmpt_lab.training.roadmap_dataset import RoadmapDataset, open_roadmap_dat
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence
 from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
-from cvqmpt_lab.vqmpt.stages import OTHER_SCENE, dictionary_roadmap, observer
+from cvqmpt_lab.vqmpt.stages import dictionary_roadmap, observer
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, StoredModel, load_vq_mpt, resolve_model
 from experiments.bench.measurement import Measurement
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, TUNING_ENVIRONMENTS, place_problem
@@ -76,7 +76,7 @@ def bench_sequences(scenes: int, model: str | None) -> Iterator[Measurement]:
     require_torch("bench sequences")
     from cvqmpt_lab.training.held_out import held_out_values
 
-    other = observer()(family_scene(*OTHER_SCENE)).astype(np.float32)
+    other = observer()(another_scene()).astype(np.float32)
     predicts, nodes = _predicts(stored, robot), dictionary_roadmap(str(folder), robot).nodes
     for name, kind in {"kitchen": KitchenRecipe, "families": RoadmapRecipe}.items():
         with TemporaryDirectory() as data:

@@ -16,7 +16,6 @@ from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
 from cvqmpt_lab.training.shards import RoadmapGraph
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
-from cvqmpt_lab.vqmpt.stages import roadmap_path
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, load_vq_mpt, read_model, write_model
 from experiments.bench.perception import area
 from experiments.suites.place_task import place_problem
@@ -53,11 +52,10 @@ def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data
     assert area(nowhere.odds[seen.edge], seen.free[seen.edge]) < 0.8
 
 
-def test_weights_without_an_edge_model_go_without_cloud_or_not_at_all(tmp_path):
+def test_weights_without_an_edge_model_are_refused_by_the_graph_alone(tmp_path):
     model = load_vq_mpt(panda())
     write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
-    assert roadmap_path(panda(), str(tmp_path / "m")).observe is None
-    assert roadmap_path(panda(), "vq_mpt").observe is not None
+    assert planner_named("roadmap-cvq", str(tmp_path / "m")).stages(place_problem(1003)).observe is None
     with pytest.raises(InvalidInputError, match="no edge validity model, only dictionary"):
         planner_named("graph-cvq", str(tmp_path / "m")).stages(place_problem(1003))
 

@@ -32,8 +32,8 @@ def test_controls_solve_repeat_and_give_up(problem, name):
     assert plan(problem, name, Budget(seconds=1e-9)).status is PlanStatus.TIMEOUT
 
 
-@pytest.mark.parametrize(("method", "shown_another"), [("roadmap-cvq", "roadmap-wrong-cloud")])
-def test_ways_need_the_cloud_of_their_own_scene(method, shown_another):
+@pytest.mark.parametrize(("method", "shown_another"), [("roadmap-cvq", "roadmap-wrong-scene")])
+def test_a_roadmap_needs_its_own_scene(method, shown_another):
     """With another scene's a planner works harder, over a few problems together."""
     ratios = []
     for environment in (1003, 1007, 1017, 1020, 1030):
