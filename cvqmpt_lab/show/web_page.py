@@ -49,7 +49,6 @@ PLACE = '<script type="application/json" id="data">{}</script>'  # of the data i
 MOST_STATES = 400  # of a path; a longer one is shown at as many even places
 MOST_TRIANGLES = 60_000  # 60 bytes each in the file
 COARSE = 60  # triangles of an object that is never drawn with fewer
-FINEST = 200  # cells along a mesh whose corners are merged first
 SECONDS = 6.0  # that a path is played in
 FLOOR_SIDE = 5.0  # [m] shown of a floor
 SIZE = (1100, 600)  # [pixels] for which the first viewpoint is chosen
@@ -220,7 +219,8 @@ def _reduced(bodies: Sequence[Body]) -> tuple[list[Body], list[str]]:
 
 def _with_fewer(mesh: Mesh, most: int) -> Mesh:
     """A mesh of at most so many triangles, with the finest grid of a few that leaves no more."""
-    cell, found = float(np.ptp(mesh.corners, axis=(0, 1)).max()) / FINEST, mesh
+    cells = 2.0 * math.sqrt(most)  # along it; a closed surface has some 10 n^2 of n along it
+    cell, found = float(np.ptp(mesh.corners, axis=(0, 1)).max()) / cells, mesh
     while len(found.corners) > most:
         found, cell = clustered(mesh, cell), 1.3 * cell
     return found
@@ -229,14 +229,20 @@ def _with_fewer(mesh: Mesh, most: int) -> Mesh:
 def clustered(mesh: Mesh, cell: float) -> Mesh:
     """A mesh whose corners in one cell of a grid with edges of `cell` [m] are their mean; triangles without area go."""
     corners = mesh.corners.reshape(-1, 3)
-    _, which = np.unique(np.floor(corners / cell).astype(np.int64), axis=0, return_inverse=True)
-    which = which.ravel()
+    which = np.unique(_numbered(np.floor(corners / cell).astype(np.int64)), return_inverse=True)[1]
     sums = np.stack([np.bincount(which, axis) for axis in corners.T], axis=1)
     merged = (sums / np.bincount(which)[:, None])[which].reshape(-1, 3, 3)
     ends = np.sort(which.reshape(-1, 3), axis=1)
-    first = np.unique(ends, axis=0, return_index=True)[1]
+    first = np.unique(_numbered(ends), return_index=True)[1]
     wide = first[(np.diff(ends[first], axis=1) > 0).all(axis=1)]
     return replace(_part(mesh, wide), corners=merged[wide])
+
+
+def _numbered(rows: np.ndarray) -> np.ndarray:
+    """A number (m,) for each row (m, 3) of whole numbers, the same for the same rows; sorted ten times as fast."""
+    rows = rows - rows.min(axis=0)
+    x, y, z = rows.T
+    return (x * (rows[:, 1].max() + 1) + y) * (rows[:, 2].max() + 1) + z
 
 
 def _body(body: Body) -> dict[str, Any]:
