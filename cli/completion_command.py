@@ -6,8 +6,8 @@ from pathlib import Path
 
 import shtab
 
-from cli.main import COMMANDS, NEED_TORCH, parser_with
-from cvqmpt_lab.errors import UnknownChoiceError, torch_installed
+from cli.main import COMMANDS, parser_with
+from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.search.space import BACKENDS
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the shell's script."""
     if args.shell not in shtab.SUPPORTED_SHELLS:
         raise UnknownChoiceError("shell", args.shell, shtab.SUPPORTED_SHELLS)
-    parser = parser_with([name for name in COMMANDS if name not in NEED_TORCH or torch_installed()])
+    parser = parser_with(COMMANDS)
     for action in _actions(parser):
         if action.dest in NAMES:
             action.choices = list(NAMES[action.dest])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 
 from cli.main import THREADS
-from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.errors import CvqmptError, install_command
 from cvqmpt_lab.show.viewer import check_viewer
 from cvqmpt_lab.vqmpt.weights import SHIPPED, read_model, resolve_model, weights_digest
 
@@ -73,8 +73,8 @@ def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Fi
         versions.append(f"{item.name} {version}")
         if version == "MISSING" or not item.specifier.contains(version, prereleases=True):
             missing.append(repr(str(item).partition(";")[0].strip()))
-    wanted = f"'{PROJECT}[{name}]'" if extra else " ".join(missing)
-    cure = f"pip install {wanted}" if missing else ""
+    how = install_command(name) if extra else f"pip install {' '.join(missing)}"
+    cure = how if missing else ""
     return Finding(f"[{name}]" if extra else name, ", ".join(versions), cure, needed=not extra)
 
 

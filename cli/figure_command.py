@@ -5,16 +5,18 @@ from pathlib import Path
 
 from cli.options import add_model, log, own_command, positive_int
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures import run_figure
 from experiments.figures.code_update import UpdateSettings
 from experiments.figures.run_figure import FIGURES, NAME, ROW_FIGURES
+from paper_tables.committed import RESULTS
 
 EXAMPLES = (
     "cvqmpt figure histogram --problems 30 --out runs/histogram",
     "cvqmpt figure concept --problem 7 --model runs/stage2/model --out runs/concept",
-    "cvqmpt figure cost --out runs/place-task",
-    "cvqmpt figure training --out runs",
+    "cvqmpt figure cost --rows runs/place-task --out runs/cost",
+    "cvqmpt figure training --rows runs",
     f"cvqmpt figure {NAME} --problems 30 --out runs/{NAME}",
 )
 
@@ -34,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--problems", type=positive_int, default=30, metavar="N", help=first)
     add_model(parser)
     add("--seed", type=int, default=0, metavar="S", help="seed of all randomness (0)")
-    add("--out", type=Path, metavar="DIR", help="where results go (runs/FIGURE), or rows or trainings are")
+    add("--out", type=Path, metavar="DIR", help="where results go (runs/FIGURE)")
+    add("--rows", type=Path, metavar="DIR", help=f"rows or trainings, of {', '.join(ROW_FIGURES)}")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,9 +51,17 @@ def run(args: argparse.Namespace) -> int:
     if args.figure not in known:
         raise UnknownChoiceError("figure", args.figure, known)
     if args.figure in ROW_FIGURES:
-        if args.out is None:
-            raise InvalidInputError(f"figure {args.figure} is drawn from rows: name their folder with --out")
-        written = ROW_FIGURES[args.figure](args.out)
+        if args.rows is None:
+            raise InvalidInputError(
+                f"figure {args.figure} is drawn from rows or trainings: name their folder with --rows"
+            )
+        out = args.out or Path("runs") / args.figure
+        if RESULTS.resolve() in (out.resolve(), *out.resolve().parents):
+            raise InvalidInputError(
+                f"--out {out} lies in the committed results; name a folder elsewhere: runs/{args.figure}"
+            )
+        make_folder(out)
+        written = ROW_FIGURES[args.figure](args.rows, out)
     else:
         out, settings = args.out or Path("runs") / args.figure, UpdateSettings(seed=args.seed)
         compile_kernels(log)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Collection
 from typing import Any, NoReturn
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_torch
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 
 COMMANDS = {
     "plan": "plan one problem and print a short report",
@@ -35,7 +35,6 @@ COMMANDS = {
 }
 
 REMOVED = {"trust": "make trust, in a checkout"}  # what replaces commands of the release before
-NEED_TORCH = ("train",)
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -90,8 +89,6 @@ def parser_with(filled: Collection[str]) -> Parser:
             name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         if name in filled:
-            if name in NEED_TORCH:
-                require_torch(f"cvqmpt {name}")
             module = _module(name)
             sub.epilog = "examples:\n" + "\n".join("  " + line for line in module.EXAMPLES)
             module.add_arguments(sub)

@@ -3,15 +3,25 @@
 import argparse
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cli.options import ProgressBar, log, own_command, positive, positive_int
 from cvqmpt_lab.codec.plain import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_torch, whole_number
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.training.profiles import MODELS, PROFILES, Profile, profile_named
-from cvqmpt_lab.training.trainer import joined_processes, run_training
 
+if TYPE_CHECKING:
+    from cvqmpt_lab.training.profiles import Profile
+
+STAGES = (
+    "stage1",
+    "stage2",
+    "mpnet",
+    "transformer",
+    "published",
+)  # as in `training.profiles`, which needs torch
+PROFILE_NAMES = ("smoke", "compact", "published")
 EDGE_MODEL = ("edge-model", "sight")  # the second is its earlier name
 ENOUGH_SCENES = 400  # for the edge validity model
 EXAMPLES = (
@@ -28,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     add = parser.add_argument
     edges = "edge-model: the edge validity model of a VQ-MPT, from data with --labels roadmap"
-    add("stage", help=f"what to train: {', '.join(MODELS)}; or {edges}")
+    add("stage", help=f"what to train: {', '.join(STAGES)}; or {edges}")
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILES)} (compact)")
+    how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILE_NAMES)} (compact)")
     how.add_argument("--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config")
     add("--print-config", action="store_true", help="print the profile as json and stop")
     add("--data", type=Path, metavar="DIR", help="what `cvqmpt data generate` wrote")
@@ -55,6 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
+    require_torch("cvqmpt train")
+    from cvqmpt_lab.training.trainer import joined_processes, run_training
+
     if args.stage == "sequences":
         raise InvalidInputError(
             "train sequences was removed: cvq-mpt predicts by the transformer of `cvqmpt train transformer`, graph-cvq "
@@ -114,7 +127,9 @@ def _train_edge_model(args: argparse.Namespace, metadata: dict) -> int:
     return 0
 
 
-def _profile(args: argparse.Namespace) -> Profile:
+def _profile(args: argparse.Namespace) -> "Profile":
+    from cvqmpt_lab.training.profiles import Profile, profile_named
+
     if args.config is None:
         return profile_named(args.profile)
     return from_plain(Profile, read_json_object(args.config), "profile")

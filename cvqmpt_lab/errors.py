@@ -8,6 +8,7 @@ import importlib.util
 import reprlib
 from collections.abc import Iterable
 from numbers import Integral
+from pathlib import Path
 
 LISTED = 60  # choices that a message lists at most
 LONGEST = 120  # characters of a value that a message shows
@@ -85,9 +86,14 @@ def torch_installed() -> bool:
     return importlib.util.find_spec("torch") is not None
 
 
+def install_command(extra: str) -> str:
+    """What installs an extra: from the checkout, where the package lies in one, since it is on no index."""
+    if (Path(__file__).parents[1] / "constraints.txt").is_file():
+        return f".venv/bin/pip install -c constraints.txt -e '.[{extra}]'"
+    return f"pip install 'cvqmpt-lab[{extra}]'"
+
+
 def require_torch(what: str) -> None:
     """Raise InvalidInputError if torch, which `what` needs, is not installed."""
     if not torch_installed():
-        raise InvalidInputError(
-            f"{what} needs torch, which is not installed: pip install 'cvqmpt-lab[train]'"
-        )
+        raise InvalidInputError(f"{what} needs torch, which is not installed: {install_command('train')}")

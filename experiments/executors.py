@@ -22,7 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, install_command
 from cvqmpt_lab.processes import end_with_parent
 from cvqmpt_lab.results.row import FailReason
 
@@ -138,7 +138,7 @@ def dask_cluster(address: str, limit_s: float, installed: Callable[[], dict[str,
     answers at the address, or a worker has several threads or something else installed.
     """
     if importlib.util.find_spec("distributed") is None:
-        raise InvalidInputError("--dask needs Dask, which is not installed: pip install 'cvqmpt-lab[dask]'")
+        raise InvalidInputError(f"--dask needs Dask, which is not installed: {install_command('dask')}")
     from distributed import Client, KilledWorker
 
     try:

@@ -218,6 +218,10 @@ def _content(value: Any) -> Any:
 
 # Json files: problems, tasks.
 EDITOR = "$schema"  # field in which editors look for the json schema of a file; ignored
+OPTIONS = {
+    "cvqmpt-problem/1": "--problem-file",
+    "cvqmpt-task/1": "--task-file",
+}  # of `cvqmpt plan`, by schema
 LINE = 120  # characters of json that go on one line
 
 
@@ -237,7 +241,9 @@ class Document(Checked):
         fields.pop(EDITOR, None)
         schema = fields.pop("schema", None)
         if schema != cls.SCHEMA:
-            raise InvalidInputError(f"schema is {shown(schema)}; this version reads {cls.SCHEMA!r}")
+            option = OPTIONS.get(schema if isinstance(schema, str) else "")
+            cure = f": give it with {option}" if option else ""
+            raise InvalidInputError(f"schema is {shown(schema)}{cure}; this version reads {cls.SCHEMA!r}")
         return from_plain(cls, fields)
 
     def save(self, path: Path | str) -> None:

@@ -70,12 +70,18 @@ class NamedRobot(RobotOptions):
     @property
     def described(self) -> UrdfRobot:
         """The URDF, options and end effector that the name stands for."""
-        if self.name not in ARMS:
+        if self.name in ELSEWHERE:
+            raise InvalidInputError(
+                f"robot {self.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[self.name]}; give its file as "
+                "--urdf, or 'urdf' and 'end_effector' in a problem file"
+            )
+        name = ALIASES.get(self.name, self.name)
+        if name not in ARMS:
             raise UnknownChoiceError("robot", self.name, [*ARMS, "or 'urdf' and 'end_effector'"])
-        arm, robots = ARMS[self.name], example_robots()
+        arm, robots = ARMS[name], example_robots()
         fingers: Mapping[str, float] = {}
         if self.finger_opening is not None:
-            if self.name != "panda":
+            if name != "panda":
                 raise InvalidInputError(
                     f"'finger_opening' is the panda's, not that of {self.name!r}; use 'locked'"
                 )
@@ -171,6 +177,12 @@ ARMS: Mapping[str, NamedArm] = {
     "pr2-right": NamedArm("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
     "two-dof": NamedArm("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
     "finger": NamedArm("finger_edu_description/robots/finger_edu.urdf", "finger_tip_link"),
+}
+
+ALIASES = {"so100": "so-arm", "so101": "so-arm101", "j2s6s200": "kinova", "franka": "panda"}
+ELSEWHERE = {
+    "gen3": "its URDF comes with ROS's kortex_description (github.com/Kinovarobotics/ros2_kortex)",
+    "iiwa": "its URDF comes with ROS's iiwa_description (github.com/lbr-stack/lbr_fri_ros2_stack, lbr_description)",
 }
 
 

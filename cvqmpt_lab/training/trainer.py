@@ -15,6 +15,7 @@ k-th batch each, and DistributedDataParallel averages their gradients; the first
 import csv
 import io
 import json
+import logging
 import math
 import os
 import signal
@@ -49,6 +50,8 @@ from cvqmpt_lab.training.stage_base import Stage
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import TRAINED_FOLDER, checkpoint_folder, recover_weights, weights_digest
 
+ENOUGH_PATHS = 2000  # to train a dictionary on, below which a warning is logged
+_log = logging.getLogger("cvqmpt")
 SAVE_EVERY_S = 300.0
 Report = Callable[[int, int, str], None]  # called with the batches done, those of all epochs, and a note
 
@@ -106,6 +109,13 @@ def run_training(
     if dictionary is not None:
         settings["dictionary_sha256"] = weights_digest(checkpoint_folder(dictionary) or dictionary)
     paths = {f"{name}_paths": len(dataset.split(name)) for name in ("train", "validation")}
+    if stage == "stage1" and paths["train_paths"] < ENOUGH_PATHS:
+        _log.warning(
+            "%d paths to train on, too few for a dictionary: give %d or more (the shipped one had 13 204); "
+            "`cvqmpt data generate` makes them, and continues in its folder",
+            paths["train_paths"],
+            ENOUGH_PATHS,
+        )
     chain = None if dataset.chain is None else to_plain(dataset.chain)
     trainer = Trainer(made, out, epochs, workers, {**settings, "kinematics": chain, **paths, **metadata})
     if rank > 0:

@@ -45,7 +45,7 @@ COMPARED = ("work_ratio", "own_time_ratio", "length_ratio")
 SHIFT = 0.12  # [levels] between planners' marks at a level
 
 
-def draw_cost(folder: Path) -> list[Path]:
+def draw_cost(folder: Path, out: Path) -> list[Path]:
     """Times and ratios against the cost of a state check; RunStoreError or InvalidInputError for unusable rows."""
     groups = by_planner(rows_of_one_suite(read_rows(folder / RUNS_FILE)), ())
     reference = groups.get(REFERENCE, [])
@@ -78,7 +78,7 @@ def draw_cost(folder: Path) -> list[Path]:
             cells |= {what: middle, f"{what}_low": low, f"{what}_high": high}
         first, *_, last = times[name]
         lines.append(cells | {"median_s_at_ours": first.estimate, "median_s_at_papers": last.estimate})
-    return [*save_figure(figure, folder, "cost"), write_csv(folder / "cost.csv", lines)]
+    return [*save_figure(figure, out, "cost"), write_csv(out / "cost.csv", lines)]
 
 
 def time_at(cost: float, row: ResultRow) -> float | None:
@@ -101,7 +101,7 @@ def break_even(ratios: Sequence[Interval]) -> float | None:
     return float(COSTS[last] * (COSTS[last + 1] / COSTS[last]) ** share)
 
 
-def draw_difficulty(folder: Path) -> list[Path]:
+def draw_difficulty(folder: Path, out: Path) -> list[Path]:
     """Search with other seeds, then draw ratios and success by how hard problems are; errors as of `read_rows`."""
     rows = rows_of_one_suite(read_rows(folder / RUNS_FILE))
     suite = suite_named(rows[0].suite)
@@ -157,8 +157,8 @@ def draw_difficulty(folder: Path) -> list[Path]:
         for name, values in by_name.items()
         for k, interval in enumerate(values)
     ]
-    table = write_csv(folder / "difficulty.csv", lines)
-    return [*save_figure(panels_figure(panels), folder, "difficulty"), table]
+    table = write_csv(out / "difficulty.csv", lines)
+    return [*save_figure(panels_figure(panels), out, "difficulty"), table]
 
 
 def difficulty(problem: PlanningProblem) -> float:
@@ -179,10 +179,10 @@ def bins_of(difficulties: Mapping[str, float], bins: int = BINS) -> list[list[st
     return [list(part) for part in np.array_split(np.array(ordered, dtype=object), min(bins, len(ordered)))]
 
 
-def draw_robustness(folder: Path) -> list[Path]:
-    """Draw the rows of a folder, beside them; RunStoreError or InvalidInputError when they cannot be read."""
+def draw_robustness(folder: Path, out: Path) -> list[Path]:
+    """Draw the rows of a folder into another; RunStoreError or InvalidInputError when they cannot be read."""
     levels = levels_of(read_rows(folder / RUNS_FILE))
-    return save_figure(robustness_figure(levels), folder, "robustness")
+    return save_figure(robustness_figure(levels), out, "robustness")
 
 
 def robustness_figure(levels: Sequence[Entry]) -> Figure:

@@ -99,7 +99,7 @@ FIGURES: Mapping[str, Callable[[Sequence[CodeUpdate], Path], list[Path]]] = {
     "histogram": _histogram,
     "concept": _concept,
 }
-ROW_FIGURES: Mapping[str, Callable[[Path], list[Path]]] = {
+ROW_FIGURES: Mapping[str, Callable[[Path, Path], list[Path]]] = {
     "robustness": draw_robustness,
     "cost": draw_cost,
     "difficulty": draw_difficulty,

@@ -21,8 +21,8 @@ COLOURS = {"transformer": ("#1f6fb4", "#7fb0dc"), "published": ("#d1662a", "#8c6
 Row = Mapping[str, object]
 
 
-def draw_training(folder: Path) -> list[Path]:
-    """Draw the trainings in a folder (`*/curves.csv`), or its training.csv, which is written beside the picture.
+def draw_training(folder: Path, out: Path) -> list[Path]:
+    """Draw the trainings in a folder (`*/curves.csv`), or its training.csv; that table goes beside the picture.
 
     InvalidInputError: there is neither.
     """
@@ -34,7 +34,7 @@ def draw_training(folder: Path) -> list[Path]:
         raise InvalidInputError(
             f"{folder} has no curves of cvqmpt train transformer or published; name the folder above those of --out"
         )
-    return [*save_figure(training_figure(found), folder, TABLE), write_csv(table, found)]
+    return [*save_figure(training_figure(found), out, TABLE), write_csv(out / table.name, found)]
 
 
 def _curve(path: Path) -> list[Row]:

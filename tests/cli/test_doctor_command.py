@@ -39,7 +39,10 @@ def test_a_missing_package_and_a_missing_extra_name_their_cure(capsys, monkeypat
     found = findings(capsys)
     state, text = found["packages"]
     assert state == "BROKEN" and "coal MISSING" in text and "pip install 'coal" in text
-    assert found["[train]"] == ("without", "torch MISSING; pip install 'cvqmpt-lab[train]'")
+    assert found["[train]"] == (
+        "without",
+        "torch MISSING; .venv/bin/pip install -c constraints.txt -e '.[train]'",
+    )
 
 
 def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):

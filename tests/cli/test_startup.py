@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from cli.train_command import PROFILE_NAMES, STAGES
 from cvqmpt_lab.planners import PLANNERS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,9 +84,17 @@ def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
     assert not [row for row in rows if "torch" in row]
 
 
+def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have():
+    code = "import sys; sys.modules['torch'] = None; from cli.main import main; main(['train', '--help'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0 and "stage1, stage2, mpnet" in done.stdout, done.stderr
+    profiles = pytest.importorskip("cvqmpt_lab.training.profiles")
+    assert tuple(profiles.MODELS) == STAGES and tuple(profiles.PROFILES) == PROFILE_NAMES
+
+
 def test_what_needs_torch_says_how_to_get_it():
     code = "import sys; sys.modules['torch'] = None; from cli.main import main; print(main({!r}))"
     for words in (["train", "stage1", "--data", "d", "--out", "o"], ["model", "import", *IMPORT]):
         done = subprocess.run([sys.executable, "-c", code.format(words)], capture_output=True, text=True)
         assert done.stdout.splitlines()[-1] == "2", done.stderr
-        assert "pip install 'cvqmpt-lab[train]'" in done.stderr and done.stderr.count("\n") == 1
+        assert "pip install -c constraints.txt -e '.[train]'" in done.stderr and done.stderr.count("\n") == 1

@@ -111,5 +111,5 @@ def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
     with pytest.raises(InvalidInputError, match=told):
         dask_cluster("tcp://127.0.0.1:9", 1.0, dict).__enter__()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InvalidInputError, match=r"not installed: pip install 'cvqmpt-lab\[dask\]'"):
+    with pytest.raises(InvalidInputError, match=r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"):
         dask_cluster("tcp://127.0.0.1:9", 1.0, dict).__enter__()

@@ -26,7 +26,7 @@ def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
         )
     ]
     write_rows(tmp_path / RUNS_FILE, rows)
-    written = draw_cost(tmp_path)
+    written = draw_cost(tmp_path, tmp_path)
     assert [path.name for path in written] == ["cost.png", "cost.svg", "cost.csv"]
     with written[-1].open() as file:
         found = {line["planner"]: line for line in csv.DictReader(file)}
