@@ -81,7 +81,15 @@ def run(args: argparse.Namespace) -> int:
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
     more = optimize_budget(args)
-    solution = solve(problem, method, budget(args), args.seed, backend=args.backend, optimize=more)
+    solution = solve(
+        problem,
+        method,
+        budget(args),
+        args.seed,
+        backend=args.backend,
+        optimize=more,
+        near_goals_first=args.suite is None,
+    )
     print(
         as_json(solution_data(solution, args.planner))
         if args.json

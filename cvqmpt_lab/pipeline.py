@@ -25,6 +25,7 @@ from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 MAX_GOALS = 20
+NEAR_GOALS = 5  # that are tried first where joints turn more than once
 _log = logging.getLogger("cvqmpt")
 
 
@@ -74,6 +75,7 @@ def solve(
     clearance: bool = True,
     optimize: Budget | None = None,
     use_cache: bool = True,
+    near_goals_first: bool = False,
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and start.
 
@@ -82,6 +84,7 @@ def solve(
 
     optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
     use_cache: False charges the planner for whatever it computes from the cloud, although it may remember the scene.
+    near_goals_first: where hinges turn more than once, the nearest goals are tried alone first: others are turns away.
     Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a
     method that cannot serve the problem (weights of another robot, no constraint).
     """
@@ -114,7 +117,7 @@ def solve(
 
     _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.deadline.seconds)
     tree_search = stages.search or BiRRT()
-    plan = search(tree_search, query, proposal)
+    plan = search(tree_search, query, proposal, NEAR_GOALS if near_goals_first and _turns(problem) else 0)
     _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
 
     if space.doubtful:
@@ -135,6 +138,12 @@ def solve(
         space, tree_search, proposal.distribution, shorter.path, optimize, rng, simplification
     )
     return _with_better(found, best, improvement, clearance)
+
+
+def _turns(problem: PlanningProblem) -> bool:
+    """Whether a hinge of the robot turns more than once."""
+    robot = problem.robot
+    return bool(((robot.upper - robot.lower > 2.0 * np.pi) & ~robot.kinematics.prismatic).any())
 
 
 def _with_better(found: Solution, best: JointPath, improvement: Improvement, clearance: bool) -> Solution:

@@ -8,9 +8,11 @@ import pytest
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import solve, solve_many, with_sampled_goals
+from cvqmpt_lab.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -82,6 +84,18 @@ def without_pairs(robot):
     geometry = robot.collision_model.copy()
     geometry.removeAllCollisionPairs()
     return geometry
+
+
+def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
+    """Of a UR5, goals whole turns away made paths longer."""
+    robot = robot_from_source({"name": "ur5"})
+    start = np.array([0.0, -1.5, 1.0, -1.0, -1.5, 0.0])
+    near = [start + 0.6 + 0.01 * k for k in range(NEAR_GOALS)]
+    far = [start + [0.6 + 2 * np.pi * (-1) ** k * 0.9, 0, 0, 0, 0, 0.01 * k] for k in range(10)]
+    problem = PlanningProblem("turns", robot, Scene("empty", ()), start, np.array([*far, *near]))
+    for seed in range(5):
+        states = solve(problem, "birrt", ENOUGH, seed, near_goals_first=True).simplified.path.states
+        assert np.abs(problem.goals[10:] - states[-1]).max(axis=1).min() < 1e-9
 
 
 def test_a_run_without_a_clock_takes_no_seconds(problem):

@@ -14,6 +14,7 @@ from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, Pl
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 LEAST_SECONDS = 1e-3
+NEAR_SHARE = 0.25  # of a budget that is spent on the nearest goals alone
 
 
 class SamplingDistribution(Protocol):
@@ -230,17 +231,27 @@ class Stages:
     update: Callable[[Query, Proposal], Proposal] | None = None  # towards the constraint (paper, Algorithm 2)
 
 
-def search(method: Search, query: Query, proposal: Proposal) -> PlanResult:
-    """Search where a proposal says, with what is left of the budget; time and work of both are added up."""
+def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> PlanResult:
+    """Search where a proposal says, with what is left of the budget; time and work of both are added up.
+
+    near: of so many nearest goals alone first, for NEAR_SHARE of the budget; 0 for all at once.
+    """
     deadline, sampler = query.deadline, proposal.distribution.name
     if proposal.path is not None:
         result = PlanResult(PlanStatus.SOLVED, proposal.path, 0.0, Counters(), 0, sampler)
     elif (status := proposal.failure or deadline.spent()) is not None:
         result = PlanResult(status, None, 0.0, Counters(), 0, sampler)
     else:
-        result = method.search(
-            query.space, query.start, query.goals, proposal.distribution, deadline.rest(), query.rng
-        )
+        vertices, shares = 0, ((near, NEAR_SHARE),) if 0 < near < len(query.goals) else ()
+        for count, share in (*shares, (len(query.goals), 1.0)):
+            goals = query.goals if share == 1.0 else query.nearest_goals(count)
+            result = method.search(
+                query.space, query.start, goals, proposal.distribution, deadline.rest(share), query.rng
+            )
+            vertices += result.vertices
+            if result.path is not None or deadline.spent() is not None:
+                break
+        result = replace(result, vertices=vertices)
     return replace(
         result,
         seconds=deadline.seconds,
