@@ -17,7 +17,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planners import PLANNERS, planner_named
+from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.search.result import JointPath
@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_problem(parser, "another robot for --problem-file, or for --start and --goal")
     task = "a task of several phases instead, planned phase by phase"
     add("--task-file", type=Path, metavar="T.json", help=task)
-    add("--planner", default="birrt", help=f"one of {', '.join(PLANNERS)} (birrt)")
+    chosen = "roadmap, for a task or a held mechanism birrt"
+    add("--planner", help=f"one of {', '.join(PLANNERS)} ({chosen})")
     add_model(parser)
     cloud = "obstacles of --start and --goal; beside a suite or file what a network is shown; repeatable"
     kinds = "SCAN.pcd|ply|npy|xyz|png"
@@ -70,10 +71,12 @@ def run(args: argparse.Namespace) -> int:
     whole_number("--seed", args.seed)
     problem = _asked(args)
     if isinstance(problem, Task):
+        args.planner = args.planner or "birrt"  # what tasks were measured with
         from cli.plan_task import run_task  # timing needs scipy.interpolate, half a second to import
 
         return run_task(args, problem)
-    method = planner_named(args.planner, args.model)
+    planner, why = (args.planner, "") if args.planner else default_planner(problem)
+    method = planner_named(planner, args.model)
     if args.cloud and not motion_given(args):  # of a suite or file, whose own obstacles count
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     _check_timing(args, problem)
@@ -91,9 +94,9 @@ def run(args: argparse.Namespace) -> int:
         near_goals_first=args.suite is None,
     )
     print(
-        as_json(solution_data(solution, args.planner))
+        as_json(solution_data(solution, planner, why))
         if args.json
-        else "\n".join(report(solution, args.planner))
+        else "\n".join(report(solution, planner, why))
     )
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and solution.simplified:

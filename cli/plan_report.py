@@ -19,15 +19,15 @@ def uses_of(solution: Solution) -> tuple[BoundUse, ...]:
     return bound_usage(problem.robot, problem.constraint, states)
 
 
-def report(solution: Solution, planner: str) -> list[str]:
-    """The lines a person reads."""
+def report(solution: Solution, planner: str, why: str = "") -> list[str]:
+    """The lines a person reads; why: the planner was chosen, if nobody named it."""
     plan, shorter = solution.plan, solution.simplified
     counts = plan.counters
     lines = [
         f"problem     {solution.problem.name}: robot {solution.problem.robot.name}, "
         f"{len(solution.problem.goals)} goals",
         f"constraint  {_constraint(solution.problem, uses_of(solution), shorter is not None)}",
-        f"planner     {planner}, samples: {plan.sampler}",
+        f"planner     {planner}{why and f' ({why})'}, samples: {plan.sampler}",
         f"status      {_status(solution)}",
         f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
         + (f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""),
@@ -86,7 +86,7 @@ def as_json(data: dict[str, Any]) -> str:
     return json.dumps(finite(data), indent=1, allow_nan=False)
 
 
-def solution_data(solution: Solution, planner: str) -> dict[str, Any]:
+def solution_data(solution: Solution, planner: str, why: str = "") -> dict[str, Any]:
     """The same as plain data for json, with the path's states."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
     problem, more = solution.problem, solution.improvement
@@ -97,6 +97,7 @@ def solution_data(solution: Solution, planner: str) -> dict[str, Any]:
         "goals": len(problem.goals),
         "constraint": [vars(use) for use in uses_of(solution)],
         "planner": planner,
+        "chosen_because": why,
         "sampler": plan.sampler,
         "status": str(plan.status),
         "fallback": plan.fallback,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
@@ -208,6 +209,16 @@ def planner_named(name: str, model: str | None = None) -> Method:
             "planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}graph+wide, ..."]
         )
     return found if model is None else found.with_model(model)
+
+
+def default_planner(problem: PlanningProblem) -> tuple[str, str]:
+    """The planner for a problem where none is named, and why: `roadmap` where it was measured and did better."""
+    if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
+        return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
+    return (
+        "roadmap",
+        "a third of birrt's work on tuning problems of five arms; birrt searches where it finds no path",
+    )
 
 
 def require_fit(method: Method, problem: PlanningProblem) -> None:

@@ -28,8 +28,15 @@ def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem,
     np.testing.assert_array_equal(states[[0, -1]], [problem.start, problem.goals[0]])
 
 
+def test_the_planner_that_nobody_names_is_a_roadmap_but_where_the_hand_holds_a_door(capsys):
+    for suite, planner, why in (("place-task", "roadmap", "work"), ("open-door", "birrt", "mechanism")):
+        main(["plan", suite, "--problem", "0", "--iterations", "3000", "--json"])
+        said = json.loads(capsys.readouterr().out)
+        assert said["planner"] == planner and why in said["chosen_because"]
+
+
 def test_plan_without_success_exits_with_1_and_writes_no_motion(capsys, tmp_path):
-    words = ["plan", "place-task", "--problem", "5", "--iterations", "1"]
+    words = ["plan", "place-task", "--problem", "5", "--planner", "birrt", "--iterations", "1"]
     assert main([*words, "--trajectory", str(tmp_path / "motion.csv")]) == 1
     out = capsys.readouterr().out
     assert "iteration_limit: no path found within " in out and "trajectory  none" in out

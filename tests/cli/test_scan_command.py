@@ -74,7 +74,7 @@ def test_an_unknown_file_becomes_a_certified_path_in_one_command(folder, camera,
 def test_a_network_may_be_shown_the_scan_beside_a_suite(folder, camera, capsys):
     words = ["--cloud", folder / "depth.png", *camera, "--iterations", 1]
     assert run("plan", "place-task", *words) == 2
-    assert "birrt uses no cloud" in capsys.readouterr().err.splitlines()[-1]
+    assert "roadmap uses no cloud" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
