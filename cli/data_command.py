@@ -19,6 +19,7 @@ EXAMPLES = (
     "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
     "cvqmpt data generate --robot ur5 --scenes 1000 --paths-per-scene 50 --out data/ur5",
     "cvqmpt data generate --labels roadmap --scenes 20000 --out data/roadmap",
+    "cvqmpt data generate --labels roadmap --robot kinova --scenes 70 --paths-per-scene 4 --out data/kinova",
     "cvqmpt data generate --labels roadmap --robot ur5 --dictionary runs/ur5 --scenes 4000 --out data/ur5-roadmap",
     "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
 )
@@ -35,12 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--paths-per-scene", type=positive_int, default=50, metavar="M", help=tried)
     family = f"of {', '.join(FAMILIES)} (all, in turn)"
     add("--family", default=",".join(FAMILIES), metavar="A,B", help=family)
-    labels = "near-shortest paths, or free nodes and edges of the dictionary, and shortest paths (paths)"
+    labels = "near-shortest paths, or free nodes and edges of a roadmap, and shortest paths (paths)"
     add("--labels", default="paths", help=f"{' or '.join(LABELS)}: {labels}")
     dictionary = (
-        "labels roadmap: --out of `cvqmpt train stage1`, whose roadmap is labelled (the shipped VQ-MPT)"
+        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of other arms)"
     )
-    add("--dictionary", metavar="DIR", help=dictionary)
+    add("--dictionary", "--model", metavar="DIR", help=dictionary)
     add("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
     add("--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)")
     add("--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists")

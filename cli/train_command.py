@@ -1,4 +1,4 @@
-"""`cvqmpt train`: train a dictionary, a sequence model or MPNet; resumable, needs torch and numpy only."""
+"""`cvqmpt train`: train a dictionary, a transformer or MPNet; resumable, needs torch and numpy only."""
 
 import argparse
 import json
@@ -22,13 +22,13 @@ STAGES = (
     "published",
 )  # as in `training.profiles`, which needs torch
 PROFILE_NAMES = ("smoke", "compact", "published")
-EDGE_MODEL = ("edge-model", "sight")  # the second is its earlier name
-ENOUGH_SCENES = 400  # for the edge validity model
+EDGE_MODEL = "edge-model"
+ENOUGH_SCENES = 70  # of each arm, for the edge validity model
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out runs/ur5-transformer",
     "cvqmpt train published --data data/roadmap --out runs/published --minutes 60",
-    "cvqmpt train edge-model --data data/roadmap --out runs/edges",
+    "cvqmpt train edge-model --data data/panda,data/ur5 --judge data/kinova --out runs/edges",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
 )
@@ -37,13 +37,18 @@ EXAMPLES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     add = parser.add_argument
-    edges = "edge-model: the edge validity model of a VQ-MPT, from data with --labels roadmap"
+    edges = "edge-model: the edge validity model of all arms, from data with --labels roadmap"
     add("stage", help=f"what to train: {', '.join(STAGES)}; or {edges}")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILE_NAMES)} (compact)")
     how.add_argument("--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config")
     add("--print-config", action="store_true", help="print the profile as json and stop")
-    add("--data", type=Path, metavar="DIR", help="what `cvqmpt data generate` wrote")
+    add(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="what `cvqmpt data generate` wrote; edge-model: several, with commas",
+    )
     add("--out", type=Path, metavar="DIR", help="for state, curves and model/; continued if it is there")
     add(
         "--dictionary",
@@ -52,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stage2 (from paths), published (from labels), both of the authors' architecture, and transformer (the "
         "shipped for the latter two): --out of stage1",
     )
-    add("--model", metavar="DIR", help="edge-model: weights that get it (the shipped VQ-MPT)")
-    most = f"edge-model: learn from so many at most ({ENOUGH_SCENES})"
+    add("--judge", metavar="DIR[,DIR...]", help="edge-model: labels of other arms, to judge it on (--data)")
+    most = f"edge-model: of each folder so many at most ({ENOUGH_SCENES})"
     add("--scenes", type=positive_int, default=ENOUGH_SCENES, metavar="N", help=most)
     add("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     add("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
@@ -84,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         whole_number(f"--{name}", getattr(args, name))
     command = own_command()
     origin = provenance(command, [args.seed])
-    if args.stage in EDGE_MODEL:
+    if args.stage == EDGE_MODEL:
         return _train_edge_model(args, {"provenance": origin})
     progress = run_training(
         args.stage,
@@ -112,18 +117,29 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _train_edge_model(args: argparse.Namespace, metadata: dict) -> int:
-    from cvqmpt_lab.labels.edge_labels import train_edge_model  # kernels, which a bare machine has not
+    from cvqmpt_lab.labels.edge_labels import (  # kernels, which a bare machine has not
+        CURVES_FILE,
+        train_edge_model,
+    )
 
-    learned = train_edge_model(
-        args.data,
+    data = [Path(folder) for folder in str(args.data).split(",")]
+    judged = [Path(folder) for folder in args.judge.split(",")] if args.judge else data
+    rows = train_edge_model(
+        data,
+        judged,
         args.out,
-        args.model,
         seed=args.seed,
         scenes=args.scenes,
         metadata=metadata,
         on_progress=ProgressBar(args.stage),
     )
-    print(f"learned from {learned} examples; model in {args.out / 'model'}")
+    print(
+        f"{'arm':16} {'clearances in':13} {'model':18} AUC, median of scenes  of all edges  calibration error"
+    )
+    for row in rows:
+        start = f"{row['robot']:16} {row['source']:13} {row['model']:18}"
+        print(f"{start} {row['area']:22.4f} {row['area_of_all']:13.4f} {row['error']:18.3f}")
+    print(f"curves of the smallest clearance in {args.out / CURVES_FILE}")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Labels on a dictionary's roadmap: every node and edge checked in random scenes, and shortest paths by Dijkstra."""
+"""Labels on a roadmap: every node and edge checked in random scenes, and shortest paths by Dijkstra."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,17 +25,20 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import edge_verdicts, motion_free
 from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
 from cvqmpt_lab.vqmpt.sampler import links_of, nearest_rows
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
-from cvqmpt_lab.vqmpt.weights import OtherRobotError
+from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
 LINKS = 20  # nodes that each is linked to
+NEIGHBOURS = 12  # of a node of a roadmap without dictionary
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16
+SHIPPED_DICTIONARY = "vq_mpt"
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
 LINK_CHECKS = (
     600  # likewise a link: near self-collision it needs more than an edge that the robot itself allows
@@ -44,28 +47,20 @@ LINK_CHECKS = (
 
 @dataclass(frozen=True)
 class RoadmapRecipe(SceneRecipe):
-    """Labels on the roadmap of a dictionary."""
+    """Labels on the roadmap of a dictionary, or of free configurations of an arm that has none."""
 
     labels: str = field(default="roadmap", init=False)
-    model: str | None = None  # name or folder of the dictionary's weights; None for the shipped
+    model: str | None = None  # name or folder of the dictionary's weights; None: see `roadmap_of`
 
     def check(self) -> None:
-        """Refuse a robot that the dictionary is not of."""
-        robot = robot_from_source(self.robot)
-        try:
-            _graph(self.model, robot)
-        except OtherRobotError as error:
-            raise InvalidInputError(
-                f"labels on a roadmap need a dictionary of {robot.name}, which {self.model or 'the shipped one'} is "
-                f"not; train one: cvqmpt data generate --robot {robot.name} --out DATA, cvqmpt train stage1 "
-                "--data DATA --out DIR; then give --dictionary DIR"
-            ) from error
+        """Refuse a robot that the dictionary is not of, or that has no roadmap."""
+        _graph(self.model, robot_from_source(self.robot))
 
     def prepare(self, out: Path) -> None:
         """Write the roadmap, or check that it is the one that is there."""
         graph = _graph(self.model, robot_from_source(self.robot))
         if (out / ROADMAP_FILE).exists() and RoadmapGraph.read(out).digest != graph.digest:
-            raise InvalidInputError(f"{out} holds labels of another dictionary; choose another --out")
+            raise InvalidInputError(f"{out} holds labels of another roadmap; choose another --out")
         graph.write(out)
 
     def shard(self, number: int) -> Shard:
@@ -79,8 +74,8 @@ class RoadmapRecipe(SceneRecipe):
                 scenes.append((family, scene_number, scene))
         if not labels:
             raise InvalidInputError(
-                f"every scene of shard {number} has a wall millimetres from the base, or the dictionary was trained "
-                "too briefly (its codes are far apart); give other --scenes or --seed, or train it longer"
+                f"{robot.name}: every scene of shard {number} needs too many checks (a wall millimetres from the base, "
+                "or a dictionary trained too briefly); give another --seed or --base, or --dictionary"
             )
         arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
         paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
@@ -115,9 +110,9 @@ class RoadmapRecipe(SceneRecipe):
             )
 
         return (
-            f"""# Labels on a dictionary's roadmap
+            f"""# Labels on a roadmap
 
-{len(graph.nodes)} nodes and {len(graph.edges)} edges of the dictionary {graph.digest[:12]}; the robot itself allows \
+{len(graph.nodes)} nodes and {len(graph.edges)} edges of the roadmap {graph.digest[:12]}; the robot itself allows \
 {graph.node_possible.mean():.3f} of the nodes and {graph.edge_possible.mean():.3f} of the edges. Scenes whose number \
 is divisible by {VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an obstacle, whose straight \
 motion is blocked. No path: through this roadmap. Other codes: than those of the shortest path in an empty scene. \
@@ -134,7 +129,33 @@ from the base are left out: {self.scenes - len(family)}.
 
 @lru_cache(maxsize=1)
 def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
-    return roadmap_graph(robot, dictionary_roadmap(model, robot))
+    return roadmap_graph(robot, roadmap_of(model, robot))
+
+
+def roadmap_of(model: str | None, robot: Robot) -> Roadmap:
+    """The roadmap of a dictionary; without one of the shipped dictionary, or of free configurations of other robots.
+
+    InvalidInputError for a robot that the dictionary is not of, or without enough free configurations.
+    """
+    if model is None and incompatibility(SHIPPED_DICTIONARY, SHIPPED_DICTIONARY, robot_signature(robot)):
+        return free_roadmap(robot)
+    try:
+        return dictionary_roadmap(model or SHIPPED_DICTIONARY, robot)
+    except OtherRobotError as error:
+        raise InvalidInputError(
+            f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap of free configurations"
+        ) from error
+
+
+def free_roadmap(robot: Robot) -> Roadmap:
+    """The nodes of planner `roadmap`, linked to their nearest ones."""
+    nodes = spread_roadmap(robot).nodes
+    if len(nodes) <= NEIGHBOURS:
+        raise InvalidInputError(
+            f"{robot.name} collides with itself in all but {len(nodes)} configurations tried; "
+            f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} shows the pairs)"
+        )
+    return Roadmap.of(nodes, NEIGHBOURS)
 
 
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
@@ -144,7 +165,7 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
     if checked is None:  # although nothing is near
         raise InvalidInputError(
-            "the dictionary's codes are far apart: it was trained too briefly; train it longer"
+            f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer, or leave --dictionary out"
         )
     own_node, own_edge = checked
     return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge, *body_points(robot))

@@ -1,15 +1,34 @@
-"""Training of the edge validity model's network: clearances to log odds of P(edge is free), in seconds to minutes."""
+"""Fits of P(a roadmap's edge is free): a logistic curve by Newton's method, and a small network to compare it with."""
 
-from itertools import pairwise
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import nn
 
 HIDDEN = (32, 16)  # units of the two layers
+NEWTON_STEPS = 30
+RIDGE = 1e-6  # times the identity, added to Newton's matrix
+
+LogOdds = Callable[[np.ndarray], np.ndarray]  # of features (b, i): (b,)
 
 
-def fit_edge_model(
+def fit_logistic(features: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Weights (i + 1,), the bias last, of log odds that are linear in features (b, i); free: verdicts (b,) bool.
+
+    The most likely ones, by Newton's method.
+    """
+    inputs = np.column_stack([features, np.ones(len(features))])
+    weights = np.zeros(inputs.shape[1])
+    for _ in range(NEWTON_STEPS):
+        probability = 1.0 / (1.0 + np.exp(-inputs @ weights))
+        curvature = (inputs * (probability * (1.0 - probability))[:, None]).T @ inputs
+        step = np.linalg.solve(curvature + RIDGE * np.eye(len(weights)), inputs.T @ (free - probability))
+        weights += step
+    return weights
+
+
+def fit_network(
     features: np.ndarray,
     free: np.ndarray,
     seed: int,
@@ -17,30 +36,37 @@ def fit_edge_model(
     epochs: int = 20,
     batch: int = 1024,
     rate: float = 3e-3,
-) -> dict[str, np.ndarray]:
-    """Minimise the negative log-likelihood of verdicts `free` (b,), by Adam with a rate that falls as a cosine.
+) -> LogOdds:
+    """Minimise the negative log-likelihood of verdicts `free` (b,), by Adam with a rate that falls as a cosine."""
+    middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
 
-    features: (b, i) of `vqmpt.edge_model`. Returns float32 arrays by their names in `vqmpt.edge_model.SmallNetwork`.
-    """
-    inputs, targets = (
-        torch.as_tensor(features, dtype=torch.float32),
-        torch.as_tensor(free, dtype=torch.float32),
-    )
+    def inputs_of(features: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor((features - middle) / scale, dtype=torch.float32)
+
+    inputs, targets = inputs_of(features), torch.as_tensor(free, dtype=torch.float32)
     torch.manual_seed(seed)
-    widths = (inputs.shape[1], *HIDDEN, 1)
-    layers = [nn.Linear(before, after) for before, after in pairwise(widths)]
-    network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
+    first, second = HIDDEN
+    network = nn.Sequential(
+        nn.Linear(inputs.shape[1], first),
+        nn.ReLU(),
+        nn.Linear(first, second),
+        nn.ReLU(),
+        nn.Linear(second, 1),
+    )
     optimizer = torch.optim.Adam(network.parameters(), rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * -(-len(inputs) // batch))
     for _ in range(epochs):
         for rows in torch.randperm(len(inputs)).split(batch):
-            odds = network(inputs[rows])[..., 0]
-            loss = nn.functional.binary_cross_entropy_with_logits(odds, targets[rows])
+            loss = nn.functional.binary_cross_entropy_with_logits(
+                network(inputs[rows])[..., 0], targets[rows]
+            )
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             schedule.step()
-    arrays: dict[str, np.ndarray] = {}
-    for name, layer in zip(("first", "second", "last"), layers, strict=True):
-        arrays |= {name: layer.weight.detach().numpy(), f"{name}_bias": layer.bias.detach().numpy()}
-    return {**arrays, "last": arrays["last"][0]}
+
+    def log_odds(features: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return network(inputs_of(features))[..., 0].numpy().astype(float)
+
+    return log_odds

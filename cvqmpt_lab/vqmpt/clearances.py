@@ -1,44 +1,16 @@
-"""Compiled half of the edge validity model: clearances of a robot's spheres in the distance field of a cloud, and the
-network that turns them into log odds that a motion is free. Nothing is checked; a motion costs some microseconds.
+"""Compiled half of the edge validity model: clearances of a robot's spheres along motions, in the distance field of a
+cloud or the collision checker's distance grid. Nothing is checked; a motion costs some microseconds.
 """
 
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.collision.distance_grid import DistanceGrid, cell_of, known_distance
+from cvqmpt_lab.collision.geometry import RobotGeometry
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
-
-
-class SmallNetwork(NamedTuple):
-    """Weights, and room for one question."""
-
-    first: Annotated[np.ndarray, "hidden inputs"]  # weights of the first layer
-    first_bias: Annotated[np.ndarray, "hidden"]  # of the first layer
-    second: Annotated[np.ndarray, "more hidden"]  # weights
-    second_bias: Annotated[np.ndarray, "more"]  # of the second layer
-    last: Annotated[np.ndarray, "more"]  # weights of the answer
-    last_bias: float  # of the answer
-    features: Annotated[np.ndarray, "inputs"]  # the question
-    hidden: Annotated[np.ndarray, "hidden"]  # work array
-
-
-@kernel
-def answer(network):
-    """What the network says to network.features."""
-    for h in range(network.first.shape[0]):
-        value = network.first_bias[h]
-        for i in range(network.first.shape[1]):
-            value += network.first[h, i] * network.features[i]
-        network.hidden[h] = max(value, 0.0)
-    total = network.last_bias
-    for h in range(network.second.shape[0]):
-        value = network.second_bias[h]
-        for i in range(network.second.shape[1]):
-            value += network.second[h, i] * network.hidden[i]
-        total += network.last[h] * max(value, 0.0)
-    return total
-
+from cvqmpt_lab.vqmpt.edge_curve import EdgeCurve
 
 NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 REACH = 0.25  # [m] distances to the cloud are cut off here: more than the largest ball and FARTHEST
@@ -46,7 +18,7 @@ STEPS = 255.0  # of a stored byte
 
 
 class EdgeArrays(NamedTuple):
-    """Distances to a cloud on a grid, a robot's spheres, and the network that reads their clearances."""
+    """Distances to a cloud on a grid, a robot's spheres, and the curve that reads their clearances."""
 
     origin: Annotated[np.ndarray, "3"]  # corner of the grid [m]
     cell: float  # edge of a cell [m]
@@ -55,7 +27,8 @@ class EdgeArrays(NamedTuple):
     sphere: Annotated[np.ndarray, "spheres 4"]  # centre in its link's frame, and radius [m]
     row: Annotated[np.ndarray, "int64 spheres"]  # pose row of each sphere's link
     spacing: float  # at most, between the states of a motion whose clearances are read [rad]
-    network: SmallNetwork  # reads the smallest clearance of every joint's spheres, then the motion's length
+    curve: EdgeCurve  # of the smallest clearance of all
+    clearance: Annotated[np.ndarray, "n"]  # work array: of every joint's spheres the smallest [m]
     state: Annotated[np.ndarray, "n"]  # work array
     rotation: Annotated[np.ndarray, "rows 3 3"]  # work array
     translation: Annotated[np.ndarray, "rows 3"]  # work array
@@ -121,35 +94,27 @@ def _lower_clearances(kinematics, model, q):
         )
         if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= m < shape[2]:
             clearance = model.distance[i, j, m] * (REACH / STEPS) - radius
-            model.network.features[link - 1] = min(model.network.features[link - 1], clearance)
+            model.clearance[link - 1] = min(model.clearance[link - 1], clearance)
 
 
 @kernel
-def features_along(kinematics, model, a, b):
-    """Put the network's inputs for the straight motion from a to b (n,) into model.network.features."""
-    n = a.shape[0]
+def clearance_along(kinematics, model, a, b):
+    """Put every joint's smallest clearance along the motion from a to b (n,) into model.clearance; log odds of free."""
     length = 0.0
-    for j in range(n):
+    for j in range(a.shape[0]):
         length += (b[j] - a[j]) * (b[j] - a[j])
-        model.network.features[j] = FARTHEST
-    length = np.sqrt(length)
-    pieces = int(np.ceil(length / model.spacing))
+        model.clearance[j] = FARTHEST
+    pieces = int(np.ceil(np.sqrt(length) / model.spacing))
     for k in range(pieces + 1):
         share = k / max(pieces, 1)
-        for j in range(n):
+        for j in range(a.shape[0]):
             model.state[j] = a[j] + share * (b[j] - a[j])
         _lower_clearances(kinematics, model, model.state)
-    for j in range(n):
-        model.network.features[j] = max(model.network.features[j], NEAREST) / FARTHEST
-    model.network.features[n] = length
-
-
-@kernel
-def edge_nll(kinematics, model, a, b):
-    """-log P(free) of the straight motion from a to b (n,)."""
-    features_along(kinematics, model, a, b)
-    odds = answer(model.network)
-    return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))
+    lowest = FARTHEST
+    for j in range(a.shape[0]):
+        model.clearance[j] = max(model.clearance[j], NEAREST)
+        lowest = min(lowest, model.clearance[j])
+    return model.curve.slope * lowest + model.curve.bias
 
 
 @entry
@@ -157,15 +122,57 @@ def motion_log_odds(
     kinematics: Kinematics,
     model: EdgeArrays,
     motions: Annotated[np.ndarray, "count 2 n"],
-    features: Annotated[np.ndarray, "count inputs"],
+    clearance: Annotated[np.ndarray, "count n"],
     odds: Annotated[np.ndarray, "count"],
 ):
-    """Write the network's inputs and log odds of straight motions; a configuration is one of no length."""
+    """Write every joint's smallest clearance [m] and the log odds of straight motions."""
     for i in range(motions.shape[0]):
-        features_along(kinematics, model, motions[i, 0], motions[i, 1])
-        for j in range(features.shape[1]):
-            features[i, j] = model.network.features[j]
-        odds[i] = answer(model.network)
+        odds[i] = clearance_along(kinematics, model, motions[i, 0], motions[i, 1])
+        for j in range(clearance.shape[1]):
+            clearance[i, j] = model.clearance[j]
+
+
+@entry
+def scene_clearances(
+    kinematics: Kinematics,
+    model: EdgeArrays,
+    robot: RobotGeometry,
+    grid: DistanceGrid,
+    motions: Annotated[np.ndarray, "count 2 n"],
+    clearance: Annotated[np.ndarray, "count n"],
+):
+    """Write every joint's smallest clearance [m] along straight motions, in the distance grid of a scene.
+
+    model: its work arrays and its spacing are used, not its cloud.
+    """
+    r, t, n = model.rotation, model.translation, motions.shape[2]
+    for i in range(motions.shape[0]):
+        length = 0.0
+        for j in range(n):
+            length += (motions[i, 1, j] - motions[i, 0, j]) ** 2
+            clearance[i, j] = FARTHEST
+        pieces = int(np.ceil(np.sqrt(length) / model.spacing))
+        for k in range(pieces + 1):
+            for j in range(n):
+                model.state[j] = motions[i, 0, j] + k / max(pieces, 1) * (motions[i, 1, j] - motions[i, 0, j])
+            forward_kinematics(kinematics, model.state, r, t)
+            for body in robot.order:
+                link, node = robot.body_link[body], robot.body_start[body]
+                while node < robot.body_end[body]:
+                    x, y, z = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+                    ix, iy, iz, inside = cell_of(
+                        grid,
+                        r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0],
+                        r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1],
+                        r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2],
+                    )
+                    own = known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else FARTHEST
+                    if own >= clearance[i, link - 1]:  # of this ball, so of all balls in it
+                        node = robot.skip[node]
+                        continue
+                    if robot.leaf[node] >= 0:
+                        clearance[i, link - 1] = max(own, NEAREST)
+                    node += 1
 
 
 @entry
@@ -196,36 +203,29 @@ def cell_clearances(
     model: EdgeArrays,
     distance: Annotated[np.ndarray, "uint8 flat"],
     cells: Annotated[np.ndarray, "int32 count spheres"],
-    clearance: Annotated[np.ndarray, "count n"],
+    clearance: Annotated[np.ndarray, "count"],
 ):
-    """Write the smallest clearance of each joint's spheres in cells of `sphere_cells`; distance: the flat field."""
+    """Write the smallest clearance [m] of spheres in cells of `sphere_cells`; distance: the flat field."""
     for i in range(cells.shape[0]):
-        for j in range(clearance.shape[1]):
-            clearance[i, j] = FARTHEST
+        lowest = FARTHEST
         for k in range(cells.shape[1]):
             if cells[i, k] >= 0:
-                link = model.row[k] - 1
-                own = distance[cells[i, k]] * (REACH / STEPS) - model.sphere[k, 3]
-                clearance[i, link] = min(clearance[i, link], own)
+                lowest = min(lowest, distance[cells[i, k]] * (REACH / STEPS) - model.sphere[k, 3])
+        clearance[i] = max(lowest, NEAREST)
 
 
 @entry
-def edge_features(
-    clearance: Annotated[np.ndarray, "count n"],
+def edge_clearances(
+    at_state: Annotated[np.ndarray, "count"],
     first: Annotated[np.ndarray, "int32 motions_and_one"],
     ends: Annotated[np.ndarray, "int32 motions 2"],
-    length: Annotated[np.ndarray, "motions"],
-    features: Annotated[np.ndarray, "motions inputs"],
+    clearance: Annotated[np.ndarray, "motions"],
 ):
-    """Write the network's inputs for motions from the clearances at their states.
+    """Write the smallest clearance along motions from that at their states.
 
-    first: where each motion's states between its ends begin among all. ends: rows of its ends. length: [rad].
+    first: where each motion's states between its ends begin among all. ends: rows of its ends.
     """
-    n = clearance.shape[1]
     for e in range(ends.shape[0]):
-        for j in range(n):
-            lowest = min(clearance[ends[e, 0], j], clearance[ends[e, 1], j])
-            for i in range(first[e], first[e + 1]):
-                lowest = min(lowest, clearance[i, j])
-            features[e, j] = max(lowest, NEAREST) / FARTHEST
-        features[e, n] = length[e]
+        clearance[e] = min(at_state[ends[e, 0]], at_state[ends[e, 1]])
+        for i in range(first[e], first[e + 1]):
+            clearance[e] = min(clearance[e], at_state[i])

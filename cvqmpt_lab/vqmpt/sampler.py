@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.search.roadmap import Roadmap
-from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_features, sphere_cells
+from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_clearances, sphere_cells
 from cvqmpt_lab.vqmpt.code_arcs import QUEUE, cheapest_ways
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
 
@@ -80,20 +80,20 @@ class CodeRoadmap:
         sphere_cells(self.model.robot.kinematics, arrays, self._states, cells)
         return cells
 
-    def features(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
-        """Inputs (E, n + 1) of the edge validity model for all edges."""
-        arrays, n = self.model.arrays(cloud, use_cache), self.model.robot.dof
-        clearance = np.empty((len(self._cells), n))
-        cell_clearances(arrays, arrays.distance.reshape(-1), self._cells, clearance)
-        features = np.empty((len(self.length), n + 1))
-        edge_features(clearance, self._first, self.links.edges, self.length, features)
-        return features
+    def clearances(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
+        """Smallest clearance (E,) [m] along all edges."""
+        arrays = self.model.arrays(cloud, use_cache)
+        at_state, along = np.empty(len(self._cells)), np.empty(len(self.length))
+        cell_clearances(arrays, arrays.distance.reshape(-1), self._cells, at_state)
+        edge_clearances(at_state, self._first, self.links.edges, along)
+        return along
 
     def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
         """-log P(free) (E,) of all edges, in a cloud (m, 3) [m, robot base frame]."""
         key = cloud.tobytes()
         if not use_cache or key not in self._costs:
-            self._costs[key] = np.logaddexp(0.0, -self.model.network(self.features(cloud, use_cache)))
+            odds = self.model.empty.curve.log_odds(self.clearances(cloud, use_cache))
+            self._costs[key] = np.logaddexp(0.0, -odds)
             if len(self._costs) > CLOUDS:
                 self._costs.popitem(last=False)
         self._costs.move_to_end(key)

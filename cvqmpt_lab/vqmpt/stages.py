@@ -9,7 +9,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
@@ -26,7 +25,7 @@ from cvqmpt_lab.vqmpt.code_predictors import (
     TransformerCodes,
 )
 from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
-from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.learned_sampler import (
     CodeGaussians,
@@ -50,7 +49,6 @@ from cvqmpt_lab.vqmpt.weights import (
     resolve_model,
 )
 
-EDGE_PART = "sight"  # the edge validity model among the parts of a model
 POINTS = 4096  # of a cloud that becomes a distance field
 STEPS = 5  # of Algorithm 2
 
@@ -62,14 +60,9 @@ def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
 
 
 @lru_cache(maxsize=8)
-def edge_model(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> EdgeModel:
-    """A model's edge validity model, for a robot and what it carries; InvalidInputError where it has none."""
-    parts = model_of(model).parts
-    if EDGE_PART not in parts:
-        raise InvalidInputError(
-            f"{model} has no edge validity model, only {', '.join(parts)}; train one: cvqmpt train edge-model"
-        )
-    return EdgeModel(SmallNetwork.of(parts[EDGE_PART]), robot, attachments)
+def edge_model(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> EdgeModel:
+    """The edge validity model of a robot and what it carries."""
+    return EdgeModel(robot, attachments)
 
 
 @lru_cache(maxsize=8)
@@ -95,7 +88,7 @@ def free_dictionary(model: str, robot: Robot, attachments: tuple[Attachment, ...
 def code_roadmap(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> CodeRoadmap:
     """The dictionary's roadmap with edge costs."""
     bare = code_roadmap(model, robot) if attachments else None
-    return CodeRoadmap(dictionary_roadmap(model, robot), edge_model(model, robot, attachments), bare)
+    return CodeRoadmap(dictionary_roadmap(model, robot), edge_model(robot, attachments), bare)
 
 
 @lru_cache(maxsize=4)
@@ -151,7 +144,7 @@ def _published(robot: Robot, model: str) -> Predicts:
 
 
 def _graph(robot: Robot, model: str) -> Predicts:
-    code_roadmap(model, robot)  # a model without edge validity model is refused before the clock starts
+    code_roadmap(model, robot)  # made before the clock starts
     roadmap = lambda query: code_roadmap(model, query.space.robot, query.space.problem.attachments)  # noqa: E731
     return GraphCodes(roadmap), observer(POINTS)
 

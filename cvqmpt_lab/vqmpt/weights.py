@@ -34,7 +34,7 @@ LATER_FIELDS: dict[str, dict[str, Any]] = {
     VQ_MPT: {"transformer": None},
     MPNET: {},
 }  # that earlier files lack
-PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer", "sight"), MPNET: ("mpnet",)}
+PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer"), MPNET: ("mpnet",)}
 """Files of each architecture. The first is always there; of VQ-MPT's others those that were trained."""
 TRANSFORMER = "transformer"
 TRAINED_BY = {

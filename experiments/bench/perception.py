@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import upright
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.edge_labels import Examples, examples_of
+from cvqmpt_lab.labels.edge_labels import area, calibration_error
 from cvqmpt_lab.labels.path_labels import unconstrained_space
 from cvqmpt_lab.labels.roadmap_labels import roadmap_graph, verdicts
 from cvqmpt_lab.pipeline import solve
@@ -36,14 +35,12 @@ from cvqmpt_lab.sensing.plane import CAMERA_TILT, CAMERA_UP, supporting_plane
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, solids_of, views_of
-from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.stages import POINTS, dictionary_roadmap
-from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 from experiments.bench.measurement import CpuTimes, Measurement
 
 FIRST_SCENE = 3000  # numbers that no dataset and no suite uses
 KITCHEN = "kitchen of the tasks"
-BINS = 10  # of predicted probability
 AROUND = CameraSettings.like_training(POINTS)
 TWO_NOISY = replace(
     AROUND,
@@ -71,67 +68,34 @@ CLUTTER = 12  # boxes on the floor
 JOINT_ERROR = 0.3  # [rad] of one joint in a wrong configuration
 
 
-def bench_sight(scenes: int) -> Iterator[Measurement]:
-    """How well the edge validity model separates free from blocked motions, by family and camera: AUC of the model and
-    of the smallest clearance alone, and calibration error, as medians over scenes.
+def bench_edge_model(scenes: int) -> Iterator[Measurement]:
+    """How well the edge validity model separates the Panda's free from blocked motions, by family and camera: area
+    under the curve and calibration error, as medians over scenes.
     """
     robot = panda()
-    model = load_vq_mpt(robot)
-    if "sight" not in model.parts:
-        raise InvalidInputError("the model has no edge validity model; train one: cvqmpt train edge-model")
-    edges = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot)
+    edges = EdgeModel(robot)
     graph = roadmap_graph(robot, dictionary_roadmap("vq_mpt", robot))
+    motions = np.ascontiguousarray(graph.nodes[graph.edges[graph.edge_possible]])
     other = camera_cloud(another_scene(), AROUND, np.random.default_rng(0))
     numbers = range(FIRST_SCENE, FIRST_SCENE + scenes)
     for family in (*FAMILIES, KITCHEN):
-        seen: dict[str, list[Examples]] = {name: [] for name in (*CAMERAS, OTHER)}
+        seen: dict[str, list[tuple[float, float]]] = {name: [] for name in (*CAMERAS, OTHER)}
         for scene in [kitchen()] if family == KITCHEN else [family_scene(family, k) for k in numbers]:
             space = unconstrained_space(robot, scene)
             checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible)
             if checked is None or not checked[1].any():
                 continue
-            for name, settings in CAMERAS.items():
-                cloud = camera_cloud(scene, settings, np.random.default_rng(0))
-                seen[name].append(examples_of(edges, cloud, graph, *checked))
-            seen[OTHER].append(examples_of(edges, other, graph, *checked))
-        for name, examples in seen.items():
-            yield from _quality(f"{family}, {name}", examples)
-    motions = np.ascontiguousarray(np.stack([graph.nodes[end] for end in graph.edges.T], 1))
+            free, rng = checked[1][graph.edge_possible], np.random.default_rng(0)
+            clouds = {name: camera_cloud(scene, settings, rng) for name, settings in CAMERAS.items()}
+            for name, cloud in {**clouds, OTHER: other}.items():
+                odds = edges.log_odds(cloud, motions)[1]
+                seen[name].append((area(odds, free), calibration_error(odds, free)))
+        for name, found in seen.items():
+            columns = np.array(found).reshape(-1, 2).T
+            for what, column in zip(("AUC", "calibration error"), columns, strict=True):
+                yield Measurement(f"{family}, {name}: {what}", "", column)
     yield Measurement("P(free) of a motion", "us", lambda: edges.log_odds(other, motions), len(motions))
     yield Measurement("distance field of a cloud", "ms", lambda: edges.arrays(other, use_cache=False))
-
-
-def _quality(name: str, scenes: list[Examples]) -> Iterator[Measurement]:
-    """Of configurations and of motions, in scenes where some are free and some are not."""
-    for kind in ("configurations", "motions"):
-        found = []
-        for one in scenes:
-            chosen = one.edge if kind == "motions" else ~one.edge
-            free, odds = one.free[chosen], one.odds[chosen]
-            if free.any() and not free.all():
-                nearest = one.features[chosen, :-1].min(axis=1)
-                found.append((area(odds, free), area(nearest, free), calibration_error(odds, free)))
-        columns = np.array(found).reshape(-1, 3).T
-        for what, column in zip(
-            ("AUC", "AUC of the clearance alone", "calibration error"), columns, strict=True
-        ):
-            yield Measurement(f"{name}, {kind}: {what}", "", column)
-
-
-def area(score: np.ndarray, free: np.ndarray) -> float:
-    """Area under the curve: how often a free one scores higher than a blocked one, ties half."""
-    _, inverse, counts = np.unique(score, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(counts) - 0.5 * (counts - 1))[inverse]
-    own = int(free.sum())
-    return float((rank[free].sum() - own * (own + 1) / 2) / (own * (len(free) - own)))
-
-
-def calibration_error(odds: np.ndarray, free: np.ndarray) -> float:
-    """How far shares of free ones lie from their predicted probability, mean over BINS of it."""
-    probability = 1.0 / (1.0 + np.exp(-odds))
-    bins = np.minimum((BINS * probability).astype(int), BINS - 1)
-    gap = np.bincount(bins, probability - free, BINS)
-    return float(np.abs(gap).sum() / len(free))
 
 
 def bench_scan() -> Iterator[Measurement]:

@@ -26,7 +26,7 @@ from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.stages import STEPS, code_roadmap
 from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.measurement import CALIBRATION, CpuTimes, Figure, Measurement, measured
-from experiments.bench.perception import bench_calibration, bench_scan, bench_sight
+from experiments.bench.perception import bench_calibration, bench_edge_model, bench_scan
 from experiments.bench.scene_prediction import bench_transformer
 from experiments.bench.sequence_quality import bench_sequences
 from experiments.bench.state_checks import bench_collision, bench_kernels
@@ -242,7 +242,7 @@ BENCHES: Mapping[str, Callable[[int, int, str | None], Iterable[Measurement]]] =
     "sequences": lambda problems, states, model: bench_sequences(problems, model),
     "throughput": lambda problems, states, model: bench_throughput(problems),
     "growth": lambda problems, states, model: bench_growth(),
-    "sight": lambda problems, states, model: bench_sight(problems),
+    "edge-model": lambda problems, states, model: bench_edge_model(problems),
     "calibration": lambda problems, states, model: bench_calibration(panda(), problems),
     "unconstrained": lambda problems, states, model: bench_unconstrained(problems),
     "scan": lambda problems, states, model: bench_scan(),

@@ -1,24 +1,17 @@
-"""From labels to an edge validity model that tells free from blocked, on a few scenes."""
+"""From labels of one arm's roadmap to curves that tell free from blocked for another arm, which has no dictionary."""
 
-from dataclasses import replace
+import json
 
 import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.edge_labels import examples_of, train_edge_model
+from cvqmpt_lab.labels.edge_labels import area, train_edge_model
 from cvqmpt_lab.labels.generation import generate
-from cvqmpt_lab.labels.path_labels import unconstrained_space
-from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe, verdicts
-from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.scene.families import family_scene
-from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud
-from cvqmpt_lab.training.shards import RoadmapGraph
-from cvqmpt_lab.vqmpt.edge_model import EdgeModel, SmallNetwork
-from cvqmpt_lab.vqmpt.weights import VQ_MPT, load_vq_mpt, read_model, write_model
-from experiments.bench.perception import area
-from experiments.suites.place_task import place_problem
+from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
+from cvqmpt_lab.training.shards import RoadmapGraph, read_roadmap_shards
+from cvqmpt_lab.vqmpt.edge_curve import CURVES_FILE, SOURCES, shipped_curve
+from cvqmpt_lab.vqmpt.weights import WEIGHTS
 
 
 def test_the_area_counts_pairs_in_order():
@@ -29,39 +22,37 @@ def test_the_area_counts_pairs_in_order():
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory):
+def folders(tmp_path_factory):
+    """Labels of the Panda's dictionary, and of an arm of six joints in other scenes."""
     out = tmp_path_factory.mktemp("labels")
-    generate(RoadmapRecipe(16, 2, ("table", "shelves")), out, ["test"])
-    return out
+    generate(RoadmapRecipe(8, 2, ("table", "shelves")), out / "panda", ["test"])
+    generate(RoadmapRecipe(8, 2, ("shelves", "cage"), 1, {"name": "kinova"}), out / "kinova", ["test"])
+    return out / "panda", out / "kinova"
 
 
-def test_a_model_trained_on_a_few_scenes_knows_free_from_blocked_in_another(data, tmp_path):
-    robot = panda()
-    assert train_edge_model(data, tmp_path, scenes=400, metadata={}) == 14 * (256 + 512)
-    model = read_model(tmp_path / "model", architecture=VQ_MPT)
-    shipped = load_vq_mpt(robot)
-    vectors = [one.parts["dictionary"]["quantizer.embedding.weight"] for one in (model, shipped)]
-    np.testing.assert_array_equal(*vectors)
-    edge_model, graph = EdgeModel(SmallNetwork.of(model.parts["sight"]), robot), RoadmapGraph.read(data)
-    scene = family_scene("shelves", 7)
-    checked = verdicts(unconstrained_space(robot, scene), graph.nodes, graph.edges, graph.edge_possible)
-    cloud = camera_cloud(scene, CameraSettings.like_training(4096), np.random.default_rng(0))
-    seen = examples_of(edge_model, cloud, graph, *checked)
-    assert area(seen.odds[seen.edge], seen.free[seen.edge]) > 0.97
-    nowhere = examples_of(edge_model, cloud + 5.0, graph, *checked)
-    assert area(nowhere.odds[seen.edge], seen.free[seen.edge]) < 0.8
+def test_a_curve_of_one_arm_separates_the_edges_of_another(folders, tmp_path):
+    panda, kinova = folders
+    rows = train_edge_model([panda], [kinova], tmp_path, scenes=8, metadata={"provenance": {}})
+    by_curve = [row for row in rows if row["model"] == "clearance"]
+    assert {row["source"] for row in by_curve} == set(SOURCES) and len(rows) == 6
+    assert min(row["area"] for row in by_curve) > 0.98 and max(row["error"] for row in by_curve) < 0.15
+    curves = json.loads((tmp_path / CURVES_FILE).read_text())["curves"]
+    for source in SOURCES:
+        assert curves[source]["slope"] == pytest.approx(shipped_curve(source).slope, rel=0.6)
 
 
-def test_weights_without_an_edge_model_are_refused_by_the_graph_alone(tmp_path):
-    model = load_vq_mpt(panda())
-    write_model(tmp_path / "m", replace(model, parts={"dictionary": model.parts["dictionary"]}))
-    assert planner_named("roadmap-cvq", str(tmp_path / "m")).stages(place_problem(1003)).observe is None
-    with pytest.raises(InvalidInputError, match="no edge validity model, only dictionary"):
-        planner_named("graph-cvq", str(tmp_path / "m")).stages(place_problem(1003))
+def test_the_shipped_curves_hold_on_three_arms_not_trained_on():
+    record = json.loads((WEIGHTS / "edges" / CURVES_FILE).read_text())
+    for source in SOURCES:
+        rows = [r for r in record["judged"] if r["source"] == source and r["model"] == "clearance"]
+        assert len(rows) >= 3 and not {row["robot"] for row in rows} & set(record["robots"])
+        assert min(row["area_of_all"] for row in rows) >= 0.99 and max(row["error"] for row in rows) <= 0.05
 
 
-def test_data_without_a_scene_to_train_on_is_refused(tmp_path):
-    out = tmp_path / "one"  # its only scene validates
-    generate(RoadmapRecipe(1, 2, ("table",)), out, ["test"])
-    with pytest.raises(InvalidInputError, match="no scene to train on"):
-        train_edge_model(out, tmp_path, scenes=400, metadata={})
+def test_an_arm_without_dictionary_gets_free_nodes_and_another_s_dictionary_is_refused(folders, tmp_path):
+    graph = RoadmapGraph.read(folders[1])
+    assert graph.nodes.shape == (1024, 6) and graph.node_possible.mean() > 0.9
+    assert np.abs(graph.nodes).max() < 2.0 * np.pi  # its joints turn further
+    assert any(np.isfinite(shard.arrays["cost"]).any() for shard in read_roadmap_shards(folders[1]))
+    with pytest.raises(InvalidInputError, match=r"vq_mpt is no dictionary of ur5.*; leave --dictionary out"):
+        RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"}, model="vq_mpt").check()

@@ -89,7 +89,7 @@ def test_labels_of_another_dictionary_are_not_continued(tiny, tmp_path):
     graph = RoadmapGraph.read(tiny)
     other = dataclasses.replace(graph, nodes=graph.nodes + 0.1)
     other.write(tmp_path)
-    with pytest.raises(InvalidInputError, match="another dictionary"):
+    with pytest.raises(InvalidInputError, match="another roadmap"):
         make(tmp_path)
 
 

@@ -5,7 +5,6 @@ import pytest
 import torch
 from ompl import base as ob
 from toppra_duration import toppra_duration
-from torch.nn import functional as F
 
 from cvqmpt_lab.certificate import TOLERANCE, certify
 from cvqmpt_lab.constraints.between_states import evenly_spaced
@@ -19,8 +18,6 @@ from cvqmpt_lab.trajectory.curve import smooth_curve
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.vqmpt.checkpoint import as_modules
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, waypoint_codes
-from cvqmpt_lab.vqmpt.edge_model import SmallNetwork
-from cvqmpt_lab.vqmpt.stages import EDGE_PART
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
@@ -148,14 +145,3 @@ def test_networks(trials):
         theirs, ours = dictionary.decode(torch.from_numpy(z)), CodeDecoder(stored).decode(z)
         np.testing.assert_allclose(ours.mean, theirs.mean.numpy(), rtol=0, atol=FAR)
         np.testing.assert_allclose(ours.covariance, theirs.covariance.numpy(), rtol=0, atol=FAR)
-        network = SmallNetwork.of(stored.parts[EDGE_PART])
-        inputs = rng.uniform(0.0, 3.0, (count, network.inputs))  # lengths [rad, m] and costs
-        outputs = small_network_in_torch(stored.parts[EDGE_PART], torch.from_numpy(inputs).float())
-        np.testing.assert_allclose(network(inputs), outputs.numpy(), rtol=FAR, atol=FAR)
-
-
-def small_network_in_torch(arrays, inputs):
-    weights = {name: torch.from_numpy(array) for name, array in arrays.items()}
-    hidden = F.linear(inputs, weights["first"], weights["first_bias"]).relu()
-    hidden = F.linear(hidden, weights["second"], weights["second_bias"]).relu()
-    return F.linear(hidden, weights["last"][None], weights["last_bias"])[:, 0]

@@ -4,26 +4,18 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.collision.arrays import robot_arrays
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.loading import panda
-from cvqmpt_lab.training.edge_training import fit_edge_model
+from cvqmpt_lab.training.edge_training import fit_logistic, fit_network
 from cvqmpt_lab.vqmpt.clearances import FARTHEST, NEAREST
-from cvqmpt_lab.vqmpt.edge_model import CELL, EdgeModel, SmallNetwork
+from cvqmpt_lab.vqmpt.edge_curve import CLOUD, shipped_curve
+from cvqmpt_lab.vqmpt.edge_model import CELL, EdgeModel
 
 
 @pytest.fixture(scope="module")
 def cloud():
     rng = np.random.default_rng(0)
     return rng.uniform((-0.6, -0.6, 0.1), (0.6, 0.6, 1.0), (60, 3))
-
-
-@pytest.fixture(scope="module")
-def network():
-    rng = np.random.default_rng(1)
-    shapes = {"first": (6, 8), "first_bias": (6,), "second": (5, 6)}
-    shapes |= {"second_bias": (5,), "last": (5,), "last_bias": (1,)}
-    return {name: rng.normal(size=shape) for name, shape in shapes.items()}
 
 
 def clearances(cloud, q):
@@ -41,40 +33,31 @@ def clearances(cloud, q):
     return found
 
 
-def test_clearances_are_those_measured_one_by_one_but_for_half_a_cell(cloud, network):
-    robot, model = panda(), EdgeModel(SmallNetwork.of(network), panda())
+def test_clearances_are_those_measured_one_by_one_but_for_half_a_cell(cloud):
+    robot, model = panda(), EdgeModel(panda())
     states = robot.random_configurations(np.random.default_rng(2), 50)
-    features, _ = model.log_odds(cloud, np.stack([states, states], axis=1))
+    found, odds = model.log_odds(cloud, np.stack([states, states], axis=1))
     truth = np.array([np.clip(clearances(cloud, q), NEAREST, FARTHEST) for q in states])
-    assert np.abs(FARTHEST * features[:, :-1] - truth).max() < 0.5 * np.sqrt(3.0) * CELL + 1e-3
-    assert (features[:, -1] == 0.0).all()
+    assert np.abs(found - truth).max() < 0.5 * np.sqrt(3.0) * CELL + 1e-3
+    curve = shipped_curve(CLOUD)
+    np.testing.assert_allclose(odds, curve.slope * found.min(axis=1) + curve.bias)
 
 
-def test_a_motion_is_as_near_as_its_nearest_state(cloud, network):
-    robot, model = panda(), EdgeModel(SmallNetwork.of(network), panda())
+def test_a_motion_is_as_near_as_its_nearest_state(cloud):
+    robot, model = panda(), EdgeModel(panda())
     a, b = robot.random_configurations(np.random.default_rng(3), 2)
-    length = np.linalg.norm(b - a)
-    pieces = int(np.ceil(length / 0.3))
+    pieces = int(np.ceil(np.linalg.norm(b - a) / 0.3))
     states = a + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (b - a)
     along, _ = model.log_odds(cloud, np.stack([a, b])[None])
     alone, _ = model.log_odds(cloud, np.stack([states, states], axis=1))
-    np.testing.assert_allclose(along[0, :-1], alone[:, :-1].min(axis=0))
-    assert along[0, -1] == pytest.approx(length)
+    np.testing.assert_allclose(along[0], alone.min(axis=0))
 
 
-def test_training_finds_what_separates_free_from_blocked():
+def test_a_curve_is_found_from_verdicts_drawn_with_its_odds_and_a_network_separates():
     rng = np.random.default_rng(5)
-    features = rng.uniform(-0.6, 1.0, (4000, 8))
-    free = features[:, [1, 4]].min(axis=1) > 0.0  # two joints matter
-    sight = fit_edge_model(features, free, seed=0, epochs=20, batch=128)
-    network = SmallNetwork.of(sight)
-    said = network(features) > 0.0
-    assert (said == free).mean() > 0.95
-    one, again = (fit_edge_model(features, free, seed=0, epochs=1, batch=128) for _ in range(2))
-    np.testing.assert_array_equal(one["first"], again["first"])
-
-
-def test_edge_model_another_robot_are_refused(network):
-    wide = SmallNetwork.untrained(7)
-    with pytest.raises(InvalidInputError, match="for 6 joints; panda has 7"):
-        EdgeModel(wide, panda())
+    features = rng.uniform(-0.1, 0.15, (20_000, 1))
+    free = rng.random(20_000) < 1.0 / (1.0 + np.exp(-(80.0 * features[:, 0] + 2.0)))
+    np.testing.assert_allclose(fit_logistic(features, free), (80.0, 2.0), rtol=0.05)
+    one, again = (fit_network(features, free, seed=0, epochs=2)(features) for _ in range(2))
+    np.testing.assert_array_equal(one, again)
+    assert ((one > 0.0) == free).mean() > 0.9

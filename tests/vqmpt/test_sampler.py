@@ -42,8 +42,8 @@ def test_all_edges_at_once_look_as_each_on_its_own(cloud, problem, carried):
     seen = code_roadmap(WEIGHTS, problem.robot, carried)
     rows = np.random.default_rng(0).choice(len(seen.links.edges), 300, replace=False)
     motions = seen.roadmap.nodes[seen.links.edges[rows]]
-    features, odds = edge_model(WEIGHTS, problem.robot, carried).log_odds(cloud, motions)
-    np.testing.assert_allclose(seen.features(cloud)[rows], features, atol=1e-12)
+    clearance, odds = edge_model(problem.robot, carried).log_odds(cloud, motions)
+    np.testing.assert_allclose(seen.clearances(cloud)[rows], clearance.min(axis=1), atol=1e-12)
     np.testing.assert_allclose(seen.edge_costs(cloud)[rows], np.logaddexp(0.0, -odds), atol=1e-12)
 
 
