@@ -16,7 +16,6 @@ QUICK = tuple(name for name in PLANNERS if name not in SLOW)
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 ISOLATED = ("straight-line", "cvq-wrong-cloud")  # controls that say what helps in scenes of other families
 FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet", "mpnet-bridged")) + ISOLATED
-ON_OTHER_ROBOTS = ("birrt", "ompl-projected")
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,6 @@ class Amount:
 CONTROLS_OF = Amount(CONTROLS_FOLDER, 60, cutoff=5.0, planners=CONTROLLED)
 FAMILIES = tuple(name for name in SUITES if name.startswith("family-"))
 FACTORIAL = (Amount("factorial", seeds=3, cutoff=3.0), Amount("factorial-constraints", cutoff=2.0))
-ROBOTS = tuple(name for name in SUITES if name.startswith("robots-"))
 FULL = (
     Amount("place-task", seeds=5),
     CONTROLS_OF,
@@ -66,7 +64,7 @@ FULL = (
     Amount("constraints", cutoff=5.0),
     Amount("place-task-single-goal", cutoff=5.0),
     *(Amount(name, cutoff=3.0, planners=(*PLANNERS, *ISOLATED)) for name in FAMILIES),
-    *(Amount(name) for name in ROBOTS),
+    Amount("robots", seeds=3, cutoff=5.0),
     Amount("sensor-robustness", cutoff=3.0),
     Amount("open-door"),
     *FACTORIAL,
@@ -80,7 +78,7 @@ HOUR = (
     *FACTORIAL,
     Amount("place-task-single-goal", cutoff=5.0, planners=QUICK),
     *(Amount(name, cutoff=3.0, planners=FAMILY) for name in FAMILIES),
-    *(Amount(name, planners=ON_OTHER_ROBOTS) for name in ROBOTS),
+    Amount("robots", seeds=3, cutoff=5.0),
     Amount("sensor-robustness", cutoff=3.0),
     Amount("place-task", seeds=5, planners=QUICK),
     Amount("multi-sequence", seeds=5, planners=QUICK),
@@ -93,7 +91,7 @@ SMALL = (
     Amount("sensor", 2, cutoff=2.0),
     Amount("place-task-with-can", 5, cutoff=2.0, planners=SOME),
     Amount("family-shelves", 3, cutoff=2.0, planners=SOME),
-    Amount("robots-ur5", 3, cutoff=2.0, planners=ON_OTHER_ROBOTS),
+    Amount("robots", 20, cutoff=2.0),
     Amount("constraints", 8, cutoff=2.0),
     Amount(CONTROLS_FOLDER, 3, cutoff=2.0, planners=CONTROLLED),
 )

@@ -1,4 +1,4 @@
-"""The table of many kinds of constraints: a line for each kind and planner, ratios within the kind."""
+"""The table of many kinds of constraints, or of arms: a line for each kind and planner, ratios within the kind."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -27,8 +27,24 @@ NOTES = (
 )
 
 
-def constraints_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
-    """Every kind in the order of the suite, then all together."""
+ARM_NOTES = (
+    "Between two upright hand poses, upright all the way, in held-out scenes of four families.",
+    NOTES[1],
+)
+
+
+def arms_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
+    """Every arm in the order of the suite, then all together."""
+    return constraints_table(rows, published, "arm", ARM_NOTES)
+
+
+def constraints_table(
+    rows: Iterable[ResultRow],
+    published: Sequence[PublishedValue],
+    what: str = "constraint",
+    notes: Sequence[str] = NOTES,
+) -> table.Rendered:
+    """Every kind in the order of the suite, then all together; what: the kinds are kinds of."""
     runs = table.suite_runs(rows)
     kinds = dict.fromkeys(map(_kind, sorted(runs.rows, key=lambda row: split_problem(row.problem).number)))
     found = [
@@ -45,16 +61,16 @@ def constraints_table(rows: Iterable[ResultRow], published: Sequence[PublishedVa
     ]
     together = [item for item in found if item.group == (ALL,)]
     size, suite = f"{len({row.problem for row in runs.rows})} problems", runs.rows[0].suite
-    lines = table.group_lines(found, ["constraint"])
+    lines = table.group_lines(found, [what])
     return table.Rendered(
         size=f"{size}, {len(kinds)} kinds",
         sections={
-            "By kind of constraint": lines,
+            f"By kind of {what}": lines,
             "Fallbacks": table.count_lines(together, "fallbacks"),
             "Failures": table.count_lines(together, "failures"),
-            "Notes": NOTES,
+            "Notes": notes,
         },
-        latex=table.latex_groups(f"{size} under {len(kinds)} kinds of constraints. {NOTES[1]}", suite, lines),
+        latex=table.latex_groups(f"{size} under {len(kinds)} kinds of {what}s. {notes[1]}", suite, lines),
         csv=table.csv_of(suite, found),
         brief=table.brief_groups(lines, range(len(lines[0]))),
     )

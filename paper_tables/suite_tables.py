@@ -10,7 +10,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, sessions, weights_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
-from paper_tables.constraints_table import constraints_table
+from paper_tables.constraints_table import arms_table, constraints_table
 from paper_tables.factorial_table import factorial_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
@@ -39,6 +39,7 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
     "family-cluttered-table": SuiteTable("Held-out tables crowded with slim things, hand upright"),
     "family-narrow-shelves": SuiteTable("Held-out shelves that a hand just fits into, hand upright"),
     "family-cage": SuiteTable("Held-out cages of bars, hand upright"),
+    "robots": SuiteTable("Nine arms of seven makers in held-out scenes, hand upright", arms_table),
     "robots-ur5": SuiteTable("UR5 in held-out scenes, hand upright"),
     "robots-xarm7": SuiteTable("xArm7 in held-out scenes, hand upright"),
     "robots-tiago": SuiteTable("Arm and torso of TIAGo in held-out scenes, hand upright"),

@@ -8,6 +8,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import family_scene
@@ -70,16 +71,29 @@ def blocked_pair(
     return None
 
 
-# Arms beside the Panda: between two random upright hand poses, upright all the way, in scenes of every family.
+# Nine arms: between two random upright hand poses, upright all the way, in scenes of every family.
 ROBOT_PROBLEMS = range(20)
 FIRST_ROBOT_SCENE = 2000  # numbers that no other suite uses
 ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
+    "panda": PANDA,
     "ur5": {"name": "ur5"},
+    "ur10": {"name": "ur10"},
+    "kinova": {"name": "kinova"},
+    "z1": {"name": "z1"},
     "xarm7": {"name": "xarm7"},
+    "baxter": {"name": "baxter-left"},
+    "talos": {"name": "talos-left-arm"},
     "tiago": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
 }
-"""6 joints, 7, and 7 on a torso that slides up and down."""
+"""6 joints (ur5, ur10, kinova, z1), 7, and 7 on a torso that slides up and down (tiago); of seven makers."""
+
+
+def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem index % 20 of robot index // 20; its rows are named like a phase, by index and robot."""
+    number, k = divmod(index, len(ROBOT_PROBLEMS))
+    robot = tuple(ROBOTS)[number]
+    return replace(other_robot_problem(robot, k), name=phase_problem(str(index), number + 1, robot))
 
 
 def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:

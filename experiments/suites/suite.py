@@ -17,7 +17,7 @@ from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
 from experiments.suites.door_task import door_problem
 from experiments.suites.factorial import PLANNERS as FACTORIAL
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
-from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, family_problem, other_robot_problem
+from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, family_problem, robots_problem
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.suites.place_task import (
     ENVIRONMENTS,
@@ -38,6 +38,7 @@ from experiments.suites.sensor_task import (
 
 # for problems that no shipped weights fit, and for constraints that no model has seen
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
+ON_ANY_ROBOT = ("birrt", "ompl-projected", "roadmap")
 ZERO_SHOT = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
@@ -88,9 +89,8 @@ SUITES: Mapping[str, Suite] = {
         Suite("factorial", ENVIRONMENTS[:60], place_problem, FACTORIAL, new_scenes=True),
         Suite("factorial-constraints", CONSTRAINED[:80], constraint_problem, FACTORIAL, new_scenes=True),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
-        *(
-            Suite(f"robots-{name}", ROBOT_PROBLEMS, partial(other_robot_problem, name), FREE_OF_WEIGHTS)
-            for name in ROBOTS
+        Suite(
+            "robots", range(len(ROBOTS) * len(ROBOT_PROBLEMS)), robots_problem, ON_ANY_ROBOT, new_scenes=True
         ),
         Suite("sensor", SCENES, sensor_problem, new_scenes=True),
         Suite("sensor-robustness", VARIED_PROBLEMS, robustness_problem, VARIED_PLANNERS, new_scenes=True),

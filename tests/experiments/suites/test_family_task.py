@@ -8,14 +8,15 @@ from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.family_task import family_problem
+from experiments.suites.family_task import ROBOTS, family_problem
 from experiments.suites.suite import suite_named
 
 
 @pytest.mark.parametrize(("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)])
 def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
-    suite = suite_named(f"robots-{robot}")
-    problem, again = suite.solvable(6), suite.solvable(6)
+    suite, index = suite_named("robots"), 20 * list(ROBOTS).index(robot) + 6
+    problem, again = suite.solvable(index), suite.solvable(index)
+    assert problem.name == f"{index}/{index // 20 + 1}-{robot}"
     np.testing.assert_array_equal(problem.start, again.start)
     assert problem.robot.dof == joints and problem.robot.kinematics.prismatic.sum() == sliders
     check_problem(problem)
