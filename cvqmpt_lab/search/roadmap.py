@@ -77,7 +77,8 @@ class RoadmapSettings:
     links: int = 40  # nodes that the start and each goal are linked to
     penalty: float = 0.5  # edges at a node cost 1 + penalty * |F| times their length
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
-    searches: int = 100  # at most; each ends at a path, or at the first edge that turns out blocked
+    searches: int = 40  # at most; each ends at a path, or at the first edge that turns out blocked
+    greed: float = 1.7  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
     step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
 
 
@@ -143,6 +144,7 @@ class RoadmapQuery:
         )
         self._count, self._left = count, settings.searches
         kernels.link_query(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
+        self._graph.to_go[:] *= settings.greed
 
     def add_nodes(self, added: np.ndarray) -> None:
         """Link more nodes (a, n) to the roadmap, to each other and to start and goals; verdicts stay."""
