@@ -1,6 +1,6 @@
 """How likely straight motions are free: clearances in the checker's distance grid, one logistic curve for all robots.
 
-    log odds of P(free) = slope * smallest clearance + per_length * length + bias
+    log odds of P(free) = slope * smallest clearance + bias
 
 The clearance is that of the robot's balls at states along the motion, read from a grid that the collision checker has
 anyway. Nothing is checked; a motion costs one to two microseconds. Self-collisions are not seen.
@@ -19,13 +19,12 @@ NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 
 
 class EdgeCosts(NamedTuple):
-    """What motions cost beyond their length; defaults were fitted to exactly checked motions of six arms."""
+    """What motions cost beyond their length."""
 
     grid: DistanceGrid  # of the scene
+    slope: float  # [1/m]
+    bias: float  # log odds at clearance 0
     weight: float = 4.0  # [rad] of -log P(free); 0: motions cost their length
-    slope: float = 80.0  # [1/m]
-    per_length: float = -0.2  # [1/rad]
-    bias: float = 3.0
     spacing: float = 0.3  # [rad] between the states whose clearances are read
 
 
@@ -70,5 +69,5 @@ def edge_nll(space: Space, costs: EdgeCosts, a: Annotated[np.ndarray, "n"], b: A
                 space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
             )
             lowest = smallest_clearance(space, costs.grid, lowest)
-    odds = costs.slope * max(lowest, NEAREST) + costs.per_length * length + costs.bias
+    odds = costs.slope * max(lowest, NEAREST) + costs.bias
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))

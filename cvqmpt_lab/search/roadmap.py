@@ -78,13 +78,17 @@ class RoadmapSettings:
     penalty: float = 0.5  # edges at a node cost 1 + penalty * |F| times their length
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
     searches: int = 40  # at most; each ends at a path, or at the first edge that turns out blocked
-    greed: float = 1.7  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
+    greed: float = (
+        1.7  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
+    )
     step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
 
 
 def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in the scene that a space checks, whose distances its checker has computed already."""
-    return EdgeCosts(space.arrays.scene.grid)
+    from cvqmpt_lab.vqmpt.edge_curve import SCENE, shipped_curve  # reads a file
+
+    return EdgeCosts(space.arrays.scene.grid, *shipped_curve(SCENE))
 
 
 def no_costs(space: ConstrainedSpace) -> EdgeCosts:
@@ -95,7 +99,7 @@ def no_costs(space: ConstrainedSpace) -> EdgeCosts:
 def other_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in another scene than the space's, for controls."""
     reach = reach_with(space.robot, space.problem.attachments)
-    return EdgeCosts(scene_arrays(another_scene(), reach).grid)
+    return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)
 
 
 class RoadmapQuery:
