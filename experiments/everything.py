@@ -14,7 +14,13 @@ CONTROLLED = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", *CONTROLS)
 SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
 QUICK = tuple(name for name in PLANNERS if name not in SLOW)
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
-ISOLATED = ("straight-line", "cvq-wrong-cloud")  # controls that say what helps in scenes of other families
+ISOLATED = (
+    "straight-line",
+    "cvq-wrong-cloud",
+    "roadmap-uniform-0",
+    "roadmap-uniform-1",
+    "roadmap-uniform-2",
+)  # controls that say what helps in scenes of other families
 FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet", "mpnet-bridged")) + ISOLATED
 
 
