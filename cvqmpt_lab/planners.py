@@ -217,7 +217,7 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
         "roadmap",
-        "a third of birrt's work on tuning problems of five arms; birrt searches where it finds no path",
+        "0.2 to 0.7 of birrt's work on tuning problems of four arms; birrt where it finds no path",
     )
 
 
