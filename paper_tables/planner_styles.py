@@ -14,9 +14,10 @@ COLOURS = {
     "opt-cvq-mpt": "#c8452d",
     "cvq-wide": "#2e8b57",
     "graph-cvq": "#b8336a",
-    "roadmap-cvq": "#1f6fb4",
+    "roadmap": "#1b3fa0",
+    "roadmap-cvq": "#4f9fd9",
 }
-OURS = "roadmap-cvq"
+OURS = "roadmap"
 THICK, THIN = 2.6, 1.4  # [points]
 
 

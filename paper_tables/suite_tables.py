@@ -40,9 +40,6 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
     "family-narrow-shelves": SuiteTable("Held-out shelves that a hand just fits into, hand upright"),
     "family-cage": SuiteTable("Held-out cages of bars, hand upright"),
     "robots": SuiteTable("Nine arms of seven makers in held-out scenes, hand upright", arms_table),
-    "robots-ur5": SuiteTable("UR5 in held-out scenes, hand upright"),
-    "robots-xarm7": SuiteTable("xArm7 in held-out scenes, hand upright"),
-    "robots-tiago": SuiteTable("Arm and torso of TIAGo in held-out scenes, hand upright"),
     "sensor": SuiteTable(
         "Scanned scenes, hand upright: planned in the map, judged in truth",
         partial(place_task_table, sensed=True),
