@@ -185,7 +185,7 @@ def test_without_a_constraint(problem):
     free = replace(problem, constraint=())
     solution = solve(free, "birrt", ENOUGH, seed=0)
     assert solution.solved and solution.plan.counters.projections == 0
-    with pytest.raises(InvalidInputError, match=r"ompl-projected: it needs a constraint.* can: birrt, roadmap$"):
+    with pytest.raises(InvalidInputError, match=r"it needs a constraint.* can: birrt, roadmap$"):
         solve(free, "ompl-projected", ENOUGH, seed=0)
 
 
