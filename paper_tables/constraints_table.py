@@ -8,7 +8,7 @@ from paper_tables.measures import RATIOS, REFERENCE, ratio_to, share_of, solved
 from paper_tables.paper_numbers import PublishedValue
 from paper_tables.table_engine import Column
 
-ALL = "all kinds"
+ALL = "all"
 COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved [%]", "%", share_of(solved)),
     **{
@@ -44,7 +44,7 @@ def constraints_table(
     what: str = "constraint",
     notes: Sequence[str] = NOTES,
 ) -> table.Rendered:
-    """Every kind in the order of the suite, then all together; what: the kinds are kinds of."""
+    """Every kind in the order of the suite, then all together; what: a kind of, in the singular."""
     runs = table.suite_runs(rows)
     kinds = dict.fromkeys(map(_kind, sorted(runs.rows, key=lambda row: split_problem(row.problem).number)))
     found = [
@@ -63,14 +63,14 @@ def constraints_table(
     size, suite = f"{len({row.problem for row in runs.rows})} problems", runs.rows[0].suite
     lines = table.group_lines(found, [what])
     return table.Rendered(
-        size=f"{size}, {len(kinds)} kinds",
+        size=f"{size}, {len(kinds)} {what}s",
         sections={
-            f"By kind of {what}": lines,
+            f"By {what}": lines,
             "Fallbacks": table.count_lines(together, "fallbacks"),
             "Failures": table.count_lines(together, "failures"),
             "Notes": notes,
         },
-        latex=table.latex_groups(f"{size} under {len(kinds)} kinds of {what}s. {notes[1]}", suite, lines),
+        latex=table.latex_groups(f"{size}, {len(kinds)} {what}s. {notes[1]}", suite, lines),
         csv=table.csv_of(suite, found),
         brief=table.brief_groups(lines, range(len(lines[0]))),
     )
