@@ -126,7 +126,7 @@ def test_planners_share_the_field_of_a_known_scene_and_build_that_of_a_new_one(m
     clouds, fill = [], edge_model.fill_distances
     monkeypatch.setattr(edge_model, "fill_distances", lambda *given: clouds.append(given) or fill(*given))
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
-    for name in ("roadmap-cvq", "graph-cvq", "cvq:graph+wide"):
+    for name in ("cvq:graph+decoded", "graph-cvq", "cvq:graph+wide"):
         before = len(clouds)
         outcome_of(Run(suite, 0, name, 0, Budget(iterations=1)), item, 0.0)
         found.append(len(clouds) - before)
