@@ -12,6 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
 
+NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances of edges are cut off here
 RANGE = 0.3  # [m] distances are cut off here
 STEP = RANGE / 255.0  # [m] of a stored byte
 COARSE = 8  # cells along the edge of a block
@@ -348,3 +349,17 @@ def cell_of(grid, x, y, z):
 def known_distance(grid, ix, iy, iz):
     """Return the lower bound stored in a cell [m]."""
     return grid.distance[ix, iy, iz] * STEP
+
+
+@kernel(inline="source")
+def ball_clearance(grid, rotation, translation, robot, link, node):
+    """Clearance [m] of a robot's ball, posed with its link, in a grid; infinite outside."""
+    x, y, z = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+    r, t = rotation[link], translation[link]
+    ix, iy, iz, inside = cell_of(
+        grid,
+        r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0],
+        r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1],
+        r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2],
+    )
+    return known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else np.inf

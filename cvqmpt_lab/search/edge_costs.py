@@ -10,12 +10,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.distance_grid import DistanceGrid, cell_of, known_distance
+from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST, DistanceGrid, ball_clearance
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.motion import Space
-
-NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 
 
 class EdgeCosts(NamedTuple):
@@ -36,14 +34,7 @@ def smallest_clearance(space, grid, lowest):
         body = robot.order[k]
         link, node, end = robot.body_link[body], robot.body_start[body], robot.body_end[body]
         while node < end:
-            x, y, z = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-            ix, iy, iz, inside = cell_of(
-                grid,
-                r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0],
-                r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1],
-                r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2],
-            )
-            clearance = known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else np.inf
+            clearance = ball_clearance(grid, r, t, robot, link, node)
             if clearance >= lowest:  # of this ball, so of all balls in it
                 node = robot.skip[node]
                 continue

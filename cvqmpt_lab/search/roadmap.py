@@ -37,6 +37,11 @@ def nearest_rows(nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool
     return np.take_along_axis(near, order, axis=1)
 
 
+def turning(robot: Robot) -> np.ndarray:
+    """Which joints turn more than once, (n,) bool."""
+    return ~robot.kinematics.prismatic & (robot.upper - robot.lower > TURN)
+
+
 @dataclass(frozen=True, eq=False)
 class Roadmap:
     """Configurations to plan through, each linked to its nearest ones."""
@@ -61,7 +66,7 @@ class Roadmap:
 
     def near(self, start: np.ndarray, robot: Robot) -> "Roadmap":
         """The same with joints that turn more than once turned as near to start (n,) as their limits allow."""
-        turns = ~robot.kinematics.prismatic & (robot.upper - robot.lower > TURN)
+        turns = turning(robot)
         if not turns.any():
             return self
         nodes, low, high = self.nodes.copy(), robot.lower[turns], robot.upper[turns]

@@ -15,7 +15,7 @@ from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.search.roadmap import TURN, Roadmap
+from cvqmpt_lab.search.roadmap import TURN, Roadmap, turning
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 NODES = 1024
@@ -79,17 +79,12 @@ def _is_roadmap(space: ConstrainedSpace, arrays: Mapping[str, np.ndarray]) -> bo
     )
 
 
-def _turning(robot: Robot) -> np.ndarray:
-    """Which joints turn more than once, (n,) bool."""
-    return ~robot.kinematics.prismatic & (robot.upper - robot.lower > TURN)
-
-
 def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray:
     """Free configurations (at most NODES, n)."""
-    robot, turning = space.robot, _turning(space.robot)
+    robot, turns = space.robot, turning(space.robot)
     middle = 0.5 * (robot.lower + robot.upper)
-    low = np.where(turning, middle - 0.5 * TURN, robot.lower)
-    width = np.where(turning, TURN, robot.upper - robot.lower)
+    low = np.where(turns, middle - 0.5 * TURN, robot.lower)
+    width = np.where(turns, TURN, robot.upper - robot.lower)
     rng = np.random.default_rng(draw)
     if sequence == HALTON:
         from scipy.stats import qmc  # takes half a second to import
@@ -110,11 +105,11 @@ def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
 
     Joints that turn more than once take the shorter way round.
     """
-    turning = _turning(space.robot)
+    turns = turning(space.robot)
     table = np.full((len(nodes), NEIGHBOURS), -1, dtype=np.int32)
     for i, node in enumerate(nodes):
         way = nodes - node
-        way[:, turning] -= TURN * np.round(way[:, turning] / TURN)
+        way[:, turns] -= TURN * np.round(way[:, turns] / TURN)
         squares = (way**2).sum(axis=1)
         squares[i] = np.inf
         tried = min(TRIED, len(nodes) - 1)

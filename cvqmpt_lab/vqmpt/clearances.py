@@ -6,13 +6,12 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.distance_grid import DistanceGrid, cell_of, known_distance
+from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST, DistanceGrid, ball_clearance
 from cvqmpt_lab.collision.geometry import RobotGeometry
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 from cvqmpt_lab.vqmpt.edge_curve import EdgeCurve
 
-NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances are cut off here
 REACH = 0.25  # [m] distances to the cloud are cut off here: more than the largest ball and FARTHEST
 STEPS = 255.0  # of a stored byte
 
@@ -159,14 +158,7 @@ def scene_clearances(
             for body in robot.order:
                 link, node = robot.body_link[body], robot.body_start[body]
                 while node < robot.body_end[body]:
-                    x, y, z = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-                    ix, iy, iz, inside = cell_of(
-                        grid,
-                        r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0],
-                        r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1],
-                        r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2],
-                    )
-                    own = known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else FARTHEST
+                    own = ball_clearance(grid, r, t, robot, link, node)
                     if own >= clearance[i, link - 1]:  # of this ball, so of all balls in it
                         node = robot.skip[node]
                         continue

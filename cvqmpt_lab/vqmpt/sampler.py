@@ -13,7 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_clearances, sphere_cells
-from cvqmpt_lab.vqmpt.code_arcs import QUEUE, cheapest_ways
+from cvqmpt_lab.vqmpt.code_arcs import QUEUE, arcs_of, cheapest_ways
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
 
 
@@ -31,10 +31,8 @@ def links_of(roadmap: Roadmap) -> Links:
     count, k = roadmap.neighbours.shape
     pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
-    arcs = np.concatenate([edges, edges[:, ::-1]])
-    order = np.lexsort((arcs[:, 1], arcs[:, 0]))
-    first = np.searchsorted(arcs[order, 0], np.arange(count + 1)).astype(np.int32)
-    return Links(edges, first, arcs[order, 1].copy(), (order % len(edges)).astype(np.int32))
+    arcs = arcs_of(count, edges)
+    return Links(edges, arcs.first, arcs.neighbour, arcs.edge)
 
 
 def _states_along(nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
