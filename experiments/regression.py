@@ -11,6 +11,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.files import read_json_object, write_text
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -108,12 +110,13 @@ class Expectations(NamedTuple):
 
 
 def made_with() -> dict[str, str | None]:
-    """What must be equal for runs to repeat bit for bit: processor, system, Python, versions."""
+    """What must be equal for runs to repeat bit for bit: processor and its instructions, system, Python, versions."""
     record = provenance()
     return {
         "system": platform.system(),
         "machine": platform.machine(),
         "cpu_model": record["cpu_model"],
+        "instructions": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
         "python": ".".join(platform.python_version_tuple()[:2]),
         **{name: record["versions"][name] for name in WHAT_DECIDES},
     }
