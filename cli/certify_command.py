@@ -22,6 +22,7 @@ EXAMPLES = (
     "cvqmpt certify path.json --problem-file mine.json --against certificate.json",
     'cvqmpt certify motion.json place-task --problem 7 --current "0.1 -0.7 0 -2.3 0 1.6 0.8"',
     "cvqmpt certify runs/place-task",
+    "cvqmpt certify runs/mine --problems-dir problems/",
 )
 
 
@@ -31,6 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = "states, or a trajectory with times, which is dry-run too; or the directory of a run"
     add("path", type=Path, metavar="PATH.csv|PATH.json|DIR", help=what)
     add_problem(parser)
+    folder = "with the directory of a run of problem files: their folder"
+    add("--problems-dir", type=Path, metavar="DIR", help=folder)
     add("--current", metavar="Q", help="where the arm stands now, in quotes [rad]: the motion begins there")
     start = "how far from there it may begin (0.01)"
     add("--tolerance", type=positive, default=0.01, metavar="RAD", help=start)
@@ -44,7 +47,11 @@ def run(args: argparse.Namespace) -> int:
     if args.path.is_dir():
         if args.suite or args.problem_file or args.current or args.against:
             raise InvalidInputError("the rows of a run name their problems; give the directory alone")
-        return _certify_run(args.path, args.json)
+        return _certify_run(args.path, args.problems_dir, args.json)
+    if args.problems_dir:
+        raise InvalidInputError(
+            "--problems-dir goes with the directory of a run; name one file: --problem-file"
+        )
     motion = read_motion(args.path)
     problem = problem_asked(args)
     if not isinstance(problem, PlanningProblem):
@@ -116,12 +123,12 @@ def _resolution(found: DryRun) -> str:
     return f"{'gaps' if certificate.unproven_rad > 0.0 else proven}, by {certificate.states_checked} looks{curve}"
 
 
-def _certify_run(directory: Path, as_json: bool) -> int:
+def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:
     from experiments.recertify import recertify
 
     summary = {"paths": 0, "certified": 0, "refused": 0}
     troubles = []
-    for verdict in recertify(directory):
+    for verdict in recertify(directory, problems_dir):
         certified = verdict.certificate is not None and verdict.certificate.valid
         summary["paths"] += 1
         summary["certified" if certified else "refused"] += 1

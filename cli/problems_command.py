@@ -72,12 +72,12 @@ def _new(args: argparse.Namespace) -> int:
     if args.task:
         from cli.task_template import SCHEMA, task_template
 
-        text = to_text(task_template(robot_source(args) or {"name": "panda"})) + "\n"
+        text = to_text({**task_template(robot_source(args) or {"name": "panda"}), "name": path.stem}) + "\n"
         write_text(writable_file(path), text)
         write_text(path.parent / SCHEMA, read_text(FOLDER / SCHEMA))
         print(f"{path} written, and {SCHEMA} for editors; plan it with: cvqmpt plan --task-file {path}")
         return 0
-    text = to_text(template(robot_source(args) or {"name": "panda"})) + "\n"
+    text = to_text({**template(robot_source(args) or {"name": "panda"}), "name": path.stem}) + "\n"
     write_text(writable_file(path), text)
     write_text(path.parent / SCHEMA_FILE, read_text(FOLDER / SCHEMA_FILE))
     print(f"{path} written, and {SCHEMA_FILE} for editors; plan it with: cvqmpt plan --problem-file {path}")

@@ -1,4 +1,4 @@
-"""`cvqmpt reproduce`: run a suite, or all of them, and write rows, tables, and of all verdicts and the report."""
+"""`cvqmpt reproduce`: run a suite, a folder of problem files, or all suites; rows, tables, verdicts and a report."""
 
 import argparse
 from pathlib import Path
@@ -16,16 +16,26 @@ from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import PROFILES, amounts
 from experiments.figures.run_figure import reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
-from experiments.suites.suite import SUITES, suite_named
+from experiments.suites.suite import SUITES, Suite, folder_suite, suite_named
 from paper_tables.suite_tables import render_directory
 
 ALL = "all"
 HISTOGRAM = ("histogram", 12)  # the figure that is part of all, and of how many problems
-FIXED = ("problems", "seeds", "planners", "model", "cutoff", "iterations", "optimize")  # in all
+FIXED = (
+    "problems",
+    "problems_dir",
+    "seeds",
+    "planners",
+    "model",
+    "cutoff",
+    "iterations",
+    "optimize",
+)  # in all
 EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
     "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out runs/can",
+    "cvqmpt reproduce --problems-dir problems/ --planners birrt,roadmap --out runs/mine",
     "cvqmpt reproduce place-task --seeds 5 --dask tcp://head:8786 --out runs/cluster",
 )
 
@@ -33,7 +43,9 @@ EXAMPLES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Suite, how much of it, with which planners, and where to."""
     add = parser.add_argument
-    add("suite", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
+    add("suite", nargs="?", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
+    folder = "or a folder of problem files (*.json), by their names; the suite is called like the folder"
+    add("--problems-dir", type=Path, metavar="DIR", help=folder)
     hours = "on two cores a night, an hour, ten minutes (full)"
     add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {hours}")
     add("--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)")
@@ -52,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
     """Run what is missing in --out, then render its tables."""
     if args.suite == ALL:
         return _reproduce_all(args)
-    suite = suite_named(args.suite)
+    suite = _suite(args)
     experiment = Experiment(
-        suite=suite.name,
+        suite=suite.name if args.problems_dir is None else str(args.problems_dir.resolve()),
         problems=tuple(suite.problems[: args.problems]),
         planners=tuple(suite.planners) if args.planners is None else args.planners,
         seeds=tuple(range(args.seeds or 1)),
@@ -71,9 +83,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _suite(args: argparse.Namespace) -> Suite:
+    """The suite that is named, or the problems of the folder."""
+    if (args.suite is None) == (args.problems_dir is None):
+        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two")
+    return suite_named(args.suite) if args.problems_dir is None else folder_suite(args.problems_dir)
+
+
 def _reproduce_all(args: argparse.Namespace) -> int:
     """Run what is missing, render everything and print the verdicts."""
-    given = [f"--{name}" for name in FIXED if getattr(args, name) is not None]
+    given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
     if given:
         raise InvalidInputError(
             f"{given[0]} does not go with 'all', whose amounts are fixed; --profile hour or small runs "

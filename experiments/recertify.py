@@ -10,13 +10,14 @@ import numpy as np
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, StoredPaths
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.sensor_task import SensedProblem
-from experiments.suites.suite import suite_named
+from experiments.suites.suite import Suite, folder_suite, suite_named
 
 LENGTH_TOLERANCE = 1e-9  # [rad] between the length in a row and that of its path
 
@@ -29,10 +30,11 @@ class Verdict(NamedTuple):
     trouble: str = ""  # why the row cannot be trusted
 
 
-def recertify(directory: Path) -> Iterator[Verdict]:
+def recertify(directory: Path, problems_dir: Path | None = None) -> Iterator[Verdict]:
     """Verdicts on all rows of a run that have a path, problem by problem.
 
-    RunStoreError: rows or paths are missing or damaged, or the run was interrupted.
+    problems_dir: folder of the problem files, of runs of such. RunStoreError: rows or paths are missing or damaged, the
+    run was interrupted, or the problem files are others, or not given.
     """
     if (directory / PARTIAL_FILE).is_file():
         raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")
@@ -41,10 +43,33 @@ def recertify(directory: Path) -> Iterator[Verdict]:
         raise RunStoreError(
             f"{directory} keeps no paths.npz: it was made by an earlier version; run it again"
         )
+    folder = _folder_of(directory, problems_dir)
     for (suite, name), of_item in groupby(sorted(rows, key=_run), key=lambda row: _run(row)[:2]):
-        item = suite_named(suite).item(int(name)) if name.isdecimal() else None
+        if folder is not None:
+            item = folder.item(name) if name in folder.problems else None
+        else:
+            item = suite_named(suite).item(int(name)) if name.isdecimal() else None
         for _, of_run in groupby(of_item, key=_run):
             yield from _verdicts(item, list(of_run), paths)
+
+
+def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
+    """The folder of a run of problem files, which are those that were run; None of other runs."""
+    file = ProvenanceFile(directory)
+    known = digests_in(file.read(), "problem_files") if file.path.is_file() else {}
+    if problems_dir is None and known:
+        raise RunStoreError(
+            f"{directory} holds runs of a folder of problem files; name it with --problems-dir"
+        )
+    if problems_dir is None:
+        return None
+    folder = folder_suite(problems_dir)
+    for name, digest in known.items():
+        if folder.digests.get(name) != digest:
+            raise RunStoreError(
+                f"problem {name!r} of {problems_dir} is not the one that was run in {directory}"
+            )
+    return folder
 
 
 def _run(row: ResultRow) -> RunKey:

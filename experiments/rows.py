@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,8 +29,8 @@ SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "v
 class Run:
     """One planner on one item of a suite with one seed; the budget is that of one planning run."""
 
-    suite: str
-    item: int
+    suite: str  # its name, or the full path of a folder of problem files, whose name is then the suite's
+    item: int | str
     planner: str
     seed: int
     budget: Budget
@@ -46,7 +47,7 @@ class Run:
     @property
     def key(self) -> RunKey:
         """What its rows have in common."""
-        return RunKey(self.suite, str(self.item), self.planner, self.seed, self.backend)
+        return RunKey(Path(self.suite).name, str(self.item), self.planner, self.seed, self.backend)
 
     def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
         """A row of this run, solved unless there is a reason why not."""

@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
+from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import REMOVED, planner_named
+from cvqmpt_lab.planners import REMOVED, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
@@ -35,8 +36,8 @@ PACKAGES = Path(__file__).resolve().parents[1]
 class Experiment:
     """What is run: items x planners x seeds of one suite, under one budget."""
 
-    suite: str
-    problems: tuple[int, ...]
+    suite: str  # its name, or the full path of a folder of problem files
+    problems: tuple[int | str, ...]
     planners: tuple[str, ...]
     seeds: tuple[int, ...]
     budget: Budget
@@ -51,6 +52,8 @@ class Experiment:
                 suite.item(index)
         for name in self.planners:
             planner_named(name)
+        if suite.digests:
+            self._require_fits()
         for seed in self.seeds:
             whole_number("seed", seed)
         for what, budget in (("budget", self.budget), ("optimize", self.optimize or self.budget)):
@@ -62,6 +65,14 @@ class Experiment:
         for what in ("problems", "planners", "seeds"):
             if not getattr(self, what):
                 raise InvalidInputError(f"an experiment needs at least one of {what}")
+
+    def _require_fits(self) -> None:
+        """Refuse a planner that cannot serve a problem of a folder, before anything runs."""
+        for run in self.runs:
+            problem = suite_named(self.suite).solvable(run.item)
+            if isinstance(problem, PlanningProblem):
+                with located(problem.name):
+                    require_fit(run.method, problem)
 
     @property
     def runs(self) -> list[Run]:
@@ -78,10 +89,16 @@ class Experiment:
         """Time [s] without an answer after which a run is given up: far more than any takes that is alive."""
         return SPARE_S + TIMES * sum(_longest(budget) for budget in (self.budget, self.optimize) if budget)
 
+    @property
+    def digests(self) -> dict[str, str]:
+        """sha256 of its problems by name, if they are those of a folder."""
+        known = suite_named(self.suite).digests
+        return {str(name): known[str(name)] for name in self.problems} if known else {}
+
     def settings(self) -> dict[str, object]:
         """What must be equal for a run to be continued: everything that changes a row."""
         return {
-            "suite": self.suite,
+            "suite": suite_named(self.suite).name,
             "cutoff_s": self.budget.seconds,
             "iterations": self.budget.iterations,
             "backend": self.backend,
@@ -119,7 +136,11 @@ def run_experiment(
     on_progress: called with (runs done, runs in all, a note on the last one).
     """
     session = provenance(
-        command, experiment.seeds, weights_of(experiment.planners, experiment.model), executor.size
+        command,
+        experiment.seeds,
+        weights_of(experiment.planners, experiment.model),
+        executor.size,
+        experiment.digests,
     )
     with RunStore.open(out, experiment.settings(), session) as store:
         runs, done = experiment.runs, store.done()
@@ -165,7 +186,8 @@ def _installed(experiment: Experiment) -> dict[str, object]:
     for package in ("cvqmpt_lab", "experiments"):
         for path in sorted((PACKAGES / package).rglob("*.py")):
             digest.update(f"{path.relative_to(PACKAGES)}".encode() + path.read_bytes())
-    return {"sources": digest.hexdigest(), "weights": weights_of(experiment.planners, experiment.model)}
+    weights = weights_of(experiment.planners, experiment.model)
+    return {"sources": digest.hexdigest(), "weights": weights, "problem files": experiment.digests}
 
 
 def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
@@ -193,7 +215,7 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 
 
 @lru_cache(maxsize=4)
-def _item(suite: str, index: int) -> tuple[SuiteItem, float]:
+def _item(suite: str, index: int | str) -> tuple[SuiteItem, float]:
     """An item, a problem with its goals sampled once for all planners, and the seconds [s] that took."""
     item = suite_named(suite).item(index)
     return with_sampled_goals(item) if isinstance(item, PlanningProblem) else (item, 0.0)

@@ -10,7 +10,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions, weights_in
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from paper_tables.paper_numbers import PUBLISHED
 from paper_tables.suite_tables import render_directory
@@ -48,7 +48,7 @@ def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) ->
     needed = {model for planner in {row.planner for row in rows} for model in models_of(planner)}
     if "figure" in record["configuration"]:
         needed.add(FIGURE_MODEL)
-    missing = sorted(needed - weights_in(record).keys())
+    missing = sorted(needed - digests_in(record, "weights").keys())
     found = [f"{directory}: no digest of the weights {name!r} that it was made with" for name in missing]
     for session in sessions(record):
         commit = session.get("git_commit")

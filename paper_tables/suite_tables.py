@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.results.provenance import ProvenanceFile, sessions, weights_in
+from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.constraints_table import arms_table, constraints_table
@@ -111,7 +111,7 @@ def directory_rows(directory: Path) -> list[ResultRow]:
 def _head(record: Mapping[str, Any], n_runs: int) -> str:
     """One line: cut-off, commits, models, machines, dates and the number of rows."""
     made = sessions(record)
-    models = [f"{name} {digest[:12]}" for name, digest in sorted(weights_in(record).items())]
+    models = [f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())]
     machines = [f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made]
     return " · ".join(
         [

@@ -20,13 +20,14 @@ PROVENANCE_FILE = "provenance.json"
 _PACKAGES = (
     "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
 )  # fmt: skip
+DIGESTS = ("weights", "problem_files")  # fields of a session: sha256 by name, which later sessions must not change
 # What the fields of a session are, and of a configuration, that others read.
 _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
     "git_dirty": bool | None,
     "cpu_count": int | None,
     "wall_s": float,
-    "weights": Mapping[str, Any],
+    **dict.fromkeys(DIGESTS, Mapping[str, Any]),
 }
 _BUDGET: Mapping[str, Any] = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
 _THREAD_VARIABLES = ("MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -38,10 +39,12 @@ def provenance(
     seeds: Iterable[int] = (),
     weights: Mapping[str, str] | None = None,
     processes: int | None = None,
+    problems: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Describe one session of runs, ready for json; unknown facts are None and nothing here fails.
 
     weights: digest of each model in use, by the model's name. processes: how many ran side by side.
+    problems: digest of each problem that was read from a file, by its name.
     """
     commit, dirty = _git_state(_CHECKOUT)
     return {
@@ -57,6 +60,7 @@ def provenance(
         "cpu_model": _cpu_model(),
         "cpu_count": os.cpu_count(),
         "processes": processes,
+        **({"problem_files": dict(problems)} if problems else {}),
         "thread_variables": {name: os.environ.get(name) for name in _THREAD_VARIABLES},
     }
 
@@ -99,8 +103,9 @@ def _check(record: Mapping[str, Any], forms: Mapping[str, Any]) -> None:
     """Refuse a field that is there and not as it should be."""
     for name in forms.keys() & record.keys():
         from_plain(forms[name], record[name], name)
-    for name, digest in record.get("weights", {}).items():
-        from_plain(str, digest, f"weights.{name}")
+    for field in DIGESTS:
+        for name, digest in record.get(field, {}).items():
+            from_plain(str, digest, f"{field}.{name}")
 
 
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -108,11 +113,11 @@ def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [record, *record.get("continued", [])]
 
 
-def weights_in(record: Mapping[str, Any]) -> dict[str, str]:
-    """Digests of all models that a record's sessions used, by name."""
+def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
+    """Digests of all that a record's sessions used, by name; field: one of `DIGESTS`."""
     found: dict[str, str] = {}
     for session in sessions(record):
-        found |= session.get("weights", {})
+        found |= session.get(field, {})
     return found
 
 
@@ -151,14 +156,14 @@ class ProvenanceFile:
         self._write({**session, "configuration": dict(configuration)})
 
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
-        """Raise RunStoreError unless the recorded configuration is this one, and models in both have one digest."""
+        """Raise RunStoreError unless the recorded configuration is this one, and what is in both has one digest."""
         record = self.read()
-        known, now = weights_in(record), session.get("weights", {})
-        both = known.keys() & now.keys()
-        found = differences(
-            {**record["configuration"], "weights": {name: known[name] for name in both}},
-            {**json.loads(_json_text(configuration)), "weights": {name: now[name] for name in both}},
-        )
+        then, now = dict(record["configuration"]), json.loads(_json_text(configuration))
+        for field in DIGESTS:
+            known, used = digests_in(record, field), session.get(field, {})
+            both = known.keys() & used.keys()
+            then[field], now[field] = ({name: part[name] for name in both} for part in (known, used))
+        found = differences(then, now)
         if found:
             raise RunStoreError(
                 f"{self.directory} holds runs of another configuration ({'; '.join(found)}); "

@@ -6,7 +6,7 @@ not convex becomes several objects, "shelf/0", "shelf/1", ...
 """
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,18 @@ def read_scene(path: Path | str) -> Scene:
     data = _scene(read_json_object(require_regular_file(path, "scene"), "scene"), path.parent)
     with located(f"scene {path}"):
         return from_plain(Scene, data)
+
+
+def named_files(data: Mapping[str, Any], folder: Path) -> Iterator[Path]:
+    """The files that `with_files_read` reads for json that is well-formed."""
+    scene = data.get("scene")
+    if isinstance(scene, str):
+        path = folder / scene
+        yield path
+        yield from named_files({"scene": read_json_object(path, "scene")}, path.parent)
+    items = [*(scene["objects"] if isinstance(scene, Mapping) else ()), *data.get("attachments", ())]
+    shapes = [item["shape"] for item in items]
+    yield from (folder / shape["path"] for shape in shapes if shape["type"] in SHAPES_BY_PATH)
 
 
 def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -1,11 +1,14 @@
-"""The suites by name: which problems or tasks an experiment runs."""
+"""The suites by name: which problems or tasks an experiment runs. A folder of problem files is one by its path."""
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.planners import PLANNERS, WITHOUT_WEIGHTS
+from cvqmpt_lab.planners import PLANNERS, WITHOUT_WEIGHTS, Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.scene.families import FAMILIES
@@ -27,6 +30,7 @@ from experiments.suites.place_task import (
     place_problem,
     single_goal_problem,
 )
+from experiments.suites.problem_folder import read_folder
 from experiments.suites.sensor_task import (
     SCENES,
     VARIED_PLANNERS,
@@ -49,14 +53,15 @@ class Suite:
     """A named, ordered set of problems or tasks; make(i) builds the one with index i."""
 
     name: str
-    problems: Sequence[int]
-    make: Callable[[int], SuiteItem]
+    problems: Sequence[Any]  # indices, or names of the problems of a folder
+    make: Callable[[Any], SuiteItem]
     planners: Sequence[str] = tuple(PLANNERS)  # run unless others are named
     carried: tuple[Attachment, ...] = ()  # in the hand in pictures, where its problems do not model it
     new_scenes: bool = False  # every planner computes its own distance field and edge costs of a cloud
     settings: Mapping[str, object] = field(default_factory=dict)  # what else decides its rows, as json values
+    digests: Mapping[str, str] = field(default_factory=dict)  # sha256 of a folder's problems, by name
 
-    def item(self, index: int) -> SuiteItem:
+    def item(self, index: int | str) -> SuiteItem:
         """Problem or task `index`; InvalidInputError names the valid range."""
         if index not in self.problems:
             raise InvalidInputError(
@@ -65,7 +70,7 @@ class Suite:
             )
         return self.make(index)
 
-    def solvable(self, index: int) -> PlanningProblem | Task:
+    def solvable(self, index: int | str) -> PlanningProblem | Task:
         """The same, of a scanned scene the problem in its map; InvalidInputError where there is no problem."""
         item = self.item(index)
         if isinstance(item, UnsolvableProblem):
@@ -99,8 +104,39 @@ SUITES: Mapping[str, Suite] = {
 }
 
 
+_FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find what was read before
+
+
+def folder_suite(folder: Path) -> Suite:
+    """The problems of a folder as they are now, as a suite with the folder's name; `suite_named` finds it by full path.
+
+    Its planners are those that can serve all of them. InvalidInputError: see `read_folder`; or the name is taken.
+    """
+    found, path = read_folder(folder), folder.resolve()
+    if path.name in SUITES or not path.name:
+        raise InvalidInputError(
+            f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it another name"
+        )
+    problems = {name: filed.problem for name, filed in found.items()}
+    _FOLDERS[str(path)] = suite = Suite(
+        path.name,
+        tuple(problems),
+        problems.__getitem__,
+        tuple(name for name, method in PLANNERS.items() if _serves_all(method, problems.values())),
+        new_scenes=True,
+        digests={name: filed.digest for name, filed in found.items()},
+    )
+    return suite
+
+
+def _serves_all(method: Method, problems: Iterable[PlanningProblem]) -> bool:
+    return not any(method.incompatibility(problem) for problem in problems)
+
+
 def suite_named(name: str) -> Suite:
-    """The suite of that name; UnknownChoiceError lists the names."""
+    """The suite of that name, or of the folder with that full path; UnknownChoiceError lists the names."""
+    if os.sep in name:
+        return _FOLDERS.get(name) or folder_suite(Path(name))
     if name not in SUITES:
         raise UnknownChoiceError("suite", name, SUITES)
     return SUITES[name]

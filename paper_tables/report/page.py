@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.provenance import sessions
+from cvqmpt_lab.results.provenance import digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 from paper_tables.claims import Evidence, banner, evidence_below, judged_claims, read_evidence
 from paper_tables.claims_page import TERMS, summary_lines, wall_clock
@@ -86,10 +86,17 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
-        "again": f"cvqmpt plan {suite} --problem PROBLEM --planner PLANNER --seed SEED --picture plan.png",
+        "again": _again(suite, evidence),
         "provenance": _provenance(evidence),
         "pictures": _pictures(evidence.folder),
     }
+
+
+def _again(suite: str, evidence: Evidence) -> str:
+    """The command that repeats a row."""
+    filed = digests_in(evidence.record, "problem_files")
+    problem = "--problem-file FILE" if filed else f"{suite} --problem PROBLEM"
+    return f"cvqmpt plan {problem} --planner PLANNER --seed SEED --picture plan.png"
 
 
 def _blocks(sections: Sections) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
-from cvqmpt_lab.results.provenance import ProvenanceFile, weights_in
+from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 
@@ -40,7 +40,7 @@ def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(
         store.append([a_row("p1")])
     with RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "aaa"}}) as store:
         store.append([a_row("p1", "mpnet")])
-    assert weights_in(ProvenanceFile(tmp_path).read()) == {"mpnet": "aaa"}
+    assert digests_in(ProvenanceFile(tmp_path).read(), "weights") == {"mpnet": "aaa"}
     with pytest.raises(RunStoreError, match=r'weights.mpnet was "aaa", now "bbb".*--out'):
         RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "bbb"}})
     RunStore.open(tmp_path, CONFIGURATION, {"weights": {"vq_mpt": "ccc"}}).finish()

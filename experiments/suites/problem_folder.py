@@ -1,0 +1,87 @@
+"""A folder of problem files as a suite: every ``*.json`` in it is a problem, in the order of the files' names."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import natural_key, one_line
+from cvqmpt_lab.robot.source import content_digest
+from cvqmpt_lab.scene.scene_files import named_files
+
+NO_PROBLEM = ".schema.json"  # how files end that `cvqmpt problems new` writes for editors
+
+
+class FiledProblem(NamedTuple):
+    """A problem of a file."""
+
+    problem: PlanningProblem  # named as its rows are
+    path: Path
+    digest: str  # sha256 over the file and all files that it names: scene, clouds, meshes, URDF, SRDF
+
+
+def read_folder(folder: Path) -> dict[str, FiledProblem]:
+    """All problems of a folder by their names in rows.
+
+    Left out are hidden files, json schemas for editors, and scenes that a problem of the folder names.
+    InvalidInputError names the file that is no problem, and what is wrong in it; two of one name; an empty folder.
+    """
+    contents = _contents(folder)
+    scenes = {(folder / data["scene"]).resolve() for data in contents.values() if _names_a_scene(data)}
+    found: dict[str, FiledProblem] = {}
+    for path, data in contents.items():
+        if path.resolve() in scenes:
+            continue
+        problem = _named_as_in_rows(PlanningProblem.load(path), path)
+        if problem.name in found:
+            raise InvalidInputError(
+                f"{found[problem.name].path} and {path} are both named {problem.name!r}, and rows go by names: "
+                "give one of them another 'name'"
+            )
+        found[problem.name] = FiledProblem(problem, path, _digest(path, data, problem))
+    if not found:
+        raise InvalidInputError(
+            f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new {folder / 'mine.json'}"
+        )
+    return found
+
+
+def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
+    """Json of the files that may be problems."""
+    try:
+        paths = [path for path in folder.iterdir() if path.suffix == ".json" and path.name[0] != "."]
+    except OSError as error:
+        raise InvalidInputError(
+            f"cannot read folder {folder}: {error.strerror}; name a folder of problem files"
+        ) from error
+    paths = sorted(paths, key=lambda path: natural_key(path.name))
+    return {path: read_json_object(path) for path in paths if not path.name.endswith(NO_PROBLEM)}
+
+
+def _names_a_scene(data: Mapping[str, Any]) -> bool:
+    return isinstance(data.get("scene"), str)
+
+
+def _named_as_in_rows(problem: PlanningProblem, path: Path) -> PlanningProblem:
+    """The same; a slash in its name, after which rows name the phase of a task, becomes a hyphen."""
+    name = problem.name.replace("/", "-")
+    if one_line(name) != name:
+        raise InvalidInputError(
+            f"{path}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks around or in a row"
+        )
+    return problem if name == problem.name else replace(problem, name=name)
+
+
+def _digest(path: Path, data: Mapping[str, Any], problem: PlanningProblem) -> str:
+    """sha256 over the digests of all files that a problem is made of."""
+    return hashlib.sha256("".join(_digests(path, data, problem)).encode()).hexdigest()
+
+
+def _digests(path: Path, data: Mapping[str, Any], problem: PlanningProblem) -> Iterator[str]:
+    yield content_digest(str(path))
+    yield from (content_digest(str(named)) for named in named_files(data, path.parent))
+    yield from (digest for _, digest in problem.robot.files)
