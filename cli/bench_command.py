@@ -13,6 +13,7 @@ from experiments.bench.planning import BENCHES, run_bench
 EXAMPLES = (
     "cvqmpt bench kernels",
     "cvqmpt bench collision --states 1000000 --json collision.json",
+    "cvqmpt bench paper-check",
     "cvqmpt bench edge-model --problems 4",
     "cvqmpt bench transformer --model runs/transformer",
     "cvqmpt bench sequences --problems 60",

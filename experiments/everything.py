@@ -63,6 +63,7 @@ FAMILIES = tuple(name for name in SUITES if name.startswith("family-"))
 FACTORIAL = (Amount("factorial", seeds=3, cutoff=3.0), Amount("factorial-constraints", cutoff=2.0))
 FULL = (
     Amount("place-task", seeds=5),
+    Amount("place-task-mirrored"),
     CONTROLS_OF,
     Amount("multi-sequence", seeds=5),
     Amount("place-task-with-can"),
@@ -86,6 +87,7 @@ HOUR = (
     *(Amount(name, cutoff=3.0, planners=FAMILY) for name in FAMILIES),
     Amount("robots", seeds=3, cutoff=5.0),
     Amount("sensor-robustness", cutoff=3.0),
+    Amount("place-task-mirrored"),
     Amount("place-task", seeds=5, planners=QUICK),
     Amount("multi-sequence", seeds=5, planners=QUICK),
     Amount("multi-sequence"),

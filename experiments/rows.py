@@ -90,7 +90,7 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
             truth = certify(item.true_problem, solution.simplified.path)
             doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {fault.kind for fault in truth.faults}
             row = replace(row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m))
-    return Outcome([row], _states([solution]))
+    return Outcome([replace(row, scene_new=suite_named(run.suite).new_scenes)], _states([solution]))
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
@@ -129,6 +129,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         n_newton_iterations=plan.counters.newton_iterations,
         n_state_checks=plan.counters.state_checks,
         n_iterations=plan.counters.iterations,
+        n_clearances=plan.counters.clearances,
         vertices=plan.vertices,
         path_length_raw_rad=plan.path.length if plan.path else None,
         path_length_rad=shorter.path.length if shorter else None,

@@ -31,6 +31,7 @@ PLACE = ("place_task.csv", "Place Task")
 TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problems of that name
     "place-task": SuiteTable("Place task: carry a can upright to the shelf", paper=PLACE),
     "place-task-with-can": SuiteTable("Place task, the carried can in the way", paper=PLACE),
+    "place-task-mirrored": SuiteTable("Place task in a kitchen that no tuning has seen"),
     "place-task-single-goal": SuiteTable("Place task, a single goal instead of twenty"),
     "family-cubes-spheres": SuiteTable("Held-out scenes of cubes and balls, hand upright"),
     "family-kitchen-like": SuiteTable("Held-out scenes like kitchens, hand upright"),

@@ -126,6 +126,12 @@ class ResultRow:
     sequences: str | None = None
     # G = F(q)^T F(q), mean over fixed draws of what is sampled, before projection [the constraint's units, squared].
     g_sampled: float | None = None
+    # Whether all that is computed from the scene's cloud was computed in this run: `t_encode_s`, a part of `t_total_s`,
+    # is then what a new scene costs, and `t_total_s` without it the time where the scene is known.
+    scene_new: bool | None = None
+    n_clearances: int | None = (
+        None  # states whose clearance was read from a distance field: approximate checks
+    )
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():

@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST, DistanceGrid, ball_clearance
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.search.motion import Space
+from cvqmpt_lab.search.motion import CLEARANCES, Space
 
 
 class EdgeCosts(NamedTuple):
@@ -60,5 +60,6 @@ def edge_nll(space: Space, costs: EdgeCosts, a: Annotated[np.ndarray, "n"], b: A
                 space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
             )
             lowest = smallest_clearance(space, costs.grid, lowest)
+            space.counters[CLEARANCES] += 1
     odds = costs.slope * max(lowest, NEAREST) + costs.bias
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))

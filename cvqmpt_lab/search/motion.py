@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
-PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS = range(4)  # rows of Space.counters
+PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS, CLEARANCES = range(5)  # rows of Space.counters
 DOUBT = 0.2  # [rad] around a doubtful configuration
 STOPPED, ADVANCED, REACHED = range(3)
 DEVIATION = 2.0  # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
@@ -46,7 +46,7 @@ class Space(NamedTuple):
     """Configurations that the compiled checker blocks but the meshes allow; near them the callback decides."""
     swing: Annotated[np.ndarray, "n"]
     """No point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]."""
-    counters: Annotated[np.ndarray, "int64 4"]  # PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS
+    counters: Annotated[np.ndarray, "int64 5"]  # PROJECTIONS to CLEARANCES
     state: Annotated[np.ndarray, "n"]  # work array
     scratch: ProjectionScratch  # work arrays of projections
 

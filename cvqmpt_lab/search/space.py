@@ -121,6 +121,10 @@ class ConstrainedSpace:
         """Count iterations that no kernel counts."""
         self.arrays.counters[kernels.ITERATIONS] += count
 
+    def count_clearances(self, states: int) -> None:
+        """Count states whose clearance was read by kernels that do not know this space."""
+        self.arrays.counters[kernels.CLEARANCES] += states
+
     def reraise(self) -> None:
         """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C included)."""
         self._check.reraise()
@@ -205,7 +209,7 @@ def _arrays(
         query=query,
         doubtful=np.empty((0, n)),
         swing=swing(kinematics, robot),
-        counters=np.zeros(4, dtype=np.int64),
+        counters=np.zeros(5, dtype=np.int64),
         state=np.zeros(n),
         scratch=projection_scratch(n, regions),
     )

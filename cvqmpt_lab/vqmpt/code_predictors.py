@@ -67,9 +67,11 @@ class GraphCodes:
         assert observation.cloud is not None
         began = query.deadline.seconds
         roadmap = self.roadmap_of(query)
+        before = roadmap.clearances_read
         roadmap.edge_costs(observation.cloud, observation.use_cache)
         encoded = query.deadline.seconds
         found = CodeSequences(roadmap, observation.cloud, query.start, query.goals).cheapest()
+        query.space.count_clearances(roadmap.clearances_read - before)
         codes, goals = union(found), query.nearest_goals(GOALS)
         detail = f"{len(found)} sequences of {len(codes)} codes"
         return PredictedCodes(codes, goals, detail, encoded - began, query.deadline.seconds - encoded)

@@ -57,6 +57,7 @@ class CodeRoadmap:
         """
         self.roadmap, self.model = roadmap, model
         self._costs: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        self.clearances_read = 0  # of so many states until now
         if bare is None:
             self.links = links_of(roadmap)
             self._states, self._first = _states_along(roadmap.nodes, self.links.edges)
@@ -90,6 +91,7 @@ class CodeRoadmap:
         """-log P(free) (E,) of all edges, in a cloud (m, 3) [m, robot base frame]."""
         key = cloud.tobytes()
         if not use_cache or key not in self._costs:
+            self.clearances_read += len(self._states)
             odds = self.model.empty.curve.log_odds(self.clearances(cloud, use_cache))
             self._costs[key] = np.logaddexp(0.0, -odds)
             if len(self._costs) > CLOUDS:
@@ -101,6 +103,8 @@ class CodeRoadmap:
         """-log P(free) (e, k) of the motions between ends (e, n) and the nodes near (e, k) to each."""
         pairs = np.broadcast_arrays(ends[:, None], self.roadmap.nodes[near])
         motions = np.stack(pairs, axis=2).reshape(-1, 2, ends.shape[1])
+        lengths = np.linalg.norm(motions[:, 1] - motions[:, 0], axis=1)
+        self.clearances_read += int(np.ceil(lengths / SPACING).sum()) + len(motions)
         return np.logaddexp(0.0, -self.model.log_odds(cloud, motions)[1]).reshape(near.shape)
 
 

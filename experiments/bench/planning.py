@@ -26,6 +26,7 @@ from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.stages import STEPS, code_roadmap
 from cvqmpt_lab.warm_up import warm_up
 from experiments.bench.measurement import CALIBRATION, CpuTimes, Figure, Measurement, measured
+from experiments.bench.paper_check import bench_paper_check
 from experiments.bench.perception import bench_calibration, bench_edge_model, bench_scan
 from experiments.bench.scene_prediction import bench_transformer
 from experiments.bench.sequence_quality import bench_sequences
@@ -235,6 +236,7 @@ def _posed(count: int) -> list[PlanningProblem]:
 BENCHES: Mapping[str, Callable[[int, int, str | None], Iterable[Measurement]]] = {
     "kernels": lambda problems, states, model: bench_kernels(_posed(1)[0]),
     "collision": lambda problems, states, model: bench_collision(_posed(1)[0], states),
+    "paper-check": lambda problems, states, model: bench_paper_check(_posed(1)[0]),
     "planners": lambda problems, states, model: bench_planners(problems),
     "stages": lambda problems, states, model: bench_stages(problems),
     "networks": lambda problems, states, model: bench_networks(problems),

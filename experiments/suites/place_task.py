@@ -3,9 +3,12 @@
 As published, environment e in 0..149 puts the can at x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z = 0.171, u1 and u2 the
 first uniforms of numpy's legacy generator seeded by e. The start is a collision-free grasp of that can, the goals are
 up to 20 grasps of a can on the shelf, yaw within +-90 degrees; the hand stays upright on the way.
+
+Settings of planners were chosen in the published kitchen, on TUNING_ENVIRONMENTS. `mirrored_problem` asks the same in a
+kitchen that no tuning has seen: the same modules, measured differently and mirrored left to right.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +21,7 @@ from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Attachment, Scene
 
@@ -28,6 +32,12 @@ SINGLE_GOAL_ENVIRONMENTS = range(30)
 DOOR = "dagger_door_left"
 DOOR_ANGLE = -1.57  # [rad]
 SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
+MIRRORED_ENVIRONMENTS = range(60)
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # left to right
+REMEASURED = KitchenParameters(  # [m]; wider, flatter and higher cabinets, a lower hood
+    cabinet_width=0.42, wall_cabinet_depth=0.33, dagger_bottom_z=0.6765, hood_bottom_z=0.70
+)
+REMEASURED_SHELF_LINK = (0.60, -0.41, 0.692)  # before it is mirrored [m]
 LIFT = 0.005  # [m] by which a can that collides is above its published place on the counter, 1.5 mm inside the top
 
 
@@ -73,6 +83,23 @@ def _world() -> Scene:
     return kitchen(door_angles={DOOR: DOOR_ANGLE})
 
 
+@lru_cache(maxsize=1)
+def _mirrored_world() -> Scene:
+    """The re-measured kitchen, mirrored. Its boxes and cylinders are their own mirror images."""
+    scene = kitchen(REMEASURED, door_angles={DOOR: DOOR_ANGLE})
+    objects = tuple(
+        replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR) for item in scene.objects
+    )
+    return Scene("kitchen mirrored", objects)
+
+
+def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
+    """The problem of one environment in the mirrored kitchen."""
+    side = MIRROR.diagonal()[:3]
+    shelf = grasp_region(side * np.add(REMEASURED_SHELF_LINK, CAN.com))
+    return _problem(environment, _mirrored_world(), side * can_com(environment), shelf)
+
+
 def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
     """The same with the first of its goals alone, so that a planner cannot choose an easier one."""
     problem = place_problem(environment)
@@ -89,22 +116,33 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
 
     The published experiment leaves the can out; with it the can is LIFT higher.
     """
+    attachments = (carried_can(),) if with_can else ()
+    com = can_com(environment) + (0.0, 0.0, LIFT * with_can)
+    return _problem(environment, _world(), com, _on_the_shelf(), attachments)
+
+
+def _problem(
+    environment: int,
+    scene: Scene,
+    com: np.ndarray,
+    shelf: TaskSpaceRegion,
+    attachments: tuple[Attachment, ...] = (),
+) -> PlanningProblem | UnsolvableProblem:
+    """From a grasp of the can at com (3,) [m] to one of the shelf's."""
     name = str(environment)
     robot = robot_from_source({"name": "panda"})
-    attachments = (carried_can(),) if with_can else ()
-    checker = shared_checker(robot, _world(), attachments, SAMPLE_MARGIN)
+    checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN)
     rng = np.random.default_rng([environment, 0])
-    com = can_com(environment) + (0.0, 0.0, LIFT * with_can)
     start = sample_region(robot, grasp_region(com), checker, rng, count=1)
     if len(start.configurations) == 0:
         return UnsolvableProblem(name, f"no start grasp: {start.outcome}")
     return PlanningProblem(
         name=name,
         robot=robot,
-        scene=_world(),
+        scene=scene,
         start=start.configurations[0],
         goals=np.empty((0, robot.dof)),
         constraint=(upright(),),
         attachments=attachments,
-        goal_region=_on_the_shelf(),
+        goal_region=shelf,
     )

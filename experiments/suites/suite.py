@@ -24,9 +24,11 @@ from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, family_proble
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.suites.place_task import (
     ENVIRONMENTS,
+    MIRRORED_ENVIRONMENTS,
     SINGLE_GOAL_ENVIRONMENTS,
     UnsolvableProblem,
     carried_can,
+    mirrored_problem,
     place_problem,
     single_goal_problem,
 )
@@ -42,6 +44,15 @@ from experiments.suites.sensor_task import (
 
 # for problems that no shipped weights fit, and for constraints that no model has seen
 FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
+IN_A_NEW_KITCHEN = (
+    "birrt",
+    "ompl-projected",
+    "cvq-mpt",
+    "opt-cvq-mpt",
+    "cvq-wide",
+    "roadmap",
+    "roadmap-cvq",
+)
 ON_ANY_ROBOT = ("birrt", "ompl-projected", "roadmap")
 ZERO_SHOT = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
@@ -81,10 +92,22 @@ class Suite:
 SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
-        Suite("place-task", ENVIRONMENTS, place_problem, carried=(carried_can(),)),
-        Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
+        Suite("place-task", ENVIRONMENTS, place_problem, carried=(carried_can(),), new_scenes=True),
+        Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True), new_scenes=True),
         Suite(
-            "place-task-single-goal", SINGLE_GOAL_ENVIRONMENTS, single_goal_problem, carried=(carried_can(),)
+            "place-task-single-goal",
+            SINGLE_GOAL_ENVIRONMENTS,
+            single_goal_problem,
+            carried=(carried_can(),),
+            new_scenes=True,
+        ),
+        Suite(
+            "place-task-mirrored",
+            MIRRORED_ENVIRONMENTS,
+            mirrored_problem,
+            IN_A_NEW_KITCHEN,
+            carried=(carried_can(),),
+            new_scenes=True,
         ),
         *(
             Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name), new_scenes=True)

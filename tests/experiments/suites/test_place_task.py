@@ -16,6 +16,7 @@ from experiments.suites.place_task import (
     can_com,
     carried_can,
     grasp_region,
+    mirrored_problem,
     place_problem,
 )
 from experiments.suites.sensor_task import SCENES, variants
@@ -68,13 +69,31 @@ def test_problems_are_sound(with_can):
     np.testing.assert_allclose(tilt, (0.0, 0.0, 1.0), atol=1e-5)
 
 
+def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
+    """Left and right change places, walls keep their distance, and the can stands in the shelf's open cabinet."""
+    known, mirrored = (place_problem(7), mirrored_problem(7))
+    old, new = ({item.name: item for item in p.scene.objects} for p in (known, mirrored))
+    assert list(old) == list(new) and mirrored.scene.articulations == ()
+    assert new["range/block"].T_world_object[1, 3] == pytest.approx(-old["range/block"].T_world_object[1, 3])
+    panel = new["dagger_door_left/panel"].T_world_object  # open: parallel to the cabinet's sides, now left
+    assert panel[1, 3] > 0.0 > old["dagger_door_left/panel"].T_world_object[1, 3]
+    assert np.linalg.det(panel) == pytest.approx(1.0)
+    T = mirrored.robot.pose(mirrored.start)
+    com = T[:3, 3] + 0.11 * T[:3, 2] - (0.0, 0.0, 0.05)
+    np.testing.assert_allclose(com, can_com(7) * (1.0, -1.0, 1.0), atol=1e-5)
+    shelf = mirrored.goal_region.T0_w[:3, 3]
+    sides = [new[f"dagger/cell1_side_{side}"].T_world_object[1, 3] for side in ("left", "right")]
+    assert min(sides) + 0.05 < shelf[1] < max(sides) - 0.05
+    check_problem(with_sampled_goals(mirrored)[0])
+
+
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
     last = len(suite_named(suite).problems) - 1
     sizes = {"place-task": 150, "place-task-with-can": 150, "place-task-single-goal": 30, "constraints": 160}
     sizes |= {"factorial": 60, "factorial-constraints": 80}
     sizes |= dict.fromkeys(("multi-sequence", "open-door", "sensor"), 10)
-    sizes["robots"] = 180
+    sizes |= {"robots": 180, "place-task-mirrored": 60}
     sizes |= {"sensor-robustness": len(SCENES) * len(variants())}
     assert last + 1 == sizes.get(suite, 50)
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)

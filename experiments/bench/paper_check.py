@@ -1,0 +1,107 @@
+"""What a state check costs in the paper's simulator, PyBullet: the distances of all pairs of pieces."""
+
+import importlib.util
+from collections.abc import Iterator, Sequence
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import InvalidInputError, install_command
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder
+from experiments.bench.measurement import CpuTimes, Measurement
+
+STATES = 100
+Placement = tuple[list[float], list[float]]  # position [m] and quaternion (x, y, z, w)
+EVERYTHING = 10.0  # [m] no pair is further apart, so that getClosestPoints measures them all
+
+
+def bench_paper_check(problem: PlanningProblem) -> Iterator[Measurement]:
+    """Processor time of all distances of a robot, to itself and to the kitchen, as the published code asks for them.
+
+    A link is the convex hull of its meshes, an obstacle a box or cylinder. Placing the links is part of a check,
+    computing where they are is not. InvalidInputError without the extra `pybullet`.
+    """
+    if importlib.util.find_spec("pybullet") is None:
+        raise InvalidInputError(
+            f"bench paper-check needs PyBullet, which is not installed: {install_command('pybullet')}"
+        )
+    import pybullet as bullet
+
+    client, clock = bullet.connect(bullet.DIRECT), CpuTimes()
+    try:
+        links = _links(problem.robot)
+        bodies = [_hull(bullet, vertices) for _, vertices in links.values()]
+        kitchen, count = _obstacles(bullet, problem.scene.obstacles), len(problem.scene.obstacles)
+        pairs = list(combinations_with_replacement(bodies, 2))
+
+        def itself() -> None:
+            for first, second in pairs:
+                bullet.getClosestPoints(first, second, EVERYTHING)
+
+        def check(placed: Sequence[Placement]) -> None:
+            for body, placement in zip(bodies, placed, strict=True):
+                bullet.resetBasePositionAndOrientation(body, *placement)
+            clock(f"PyBullet: {len(pairs)} distances between {len(bodies)} links", itself)
+            for body in bodies:
+                bullet.getClosestPoints(body, kitchen, EVERYTHING)
+
+        for q in problem.robot.random_configurations(np.random.default_rng(0), STATES):
+            rotation, translation = link_poses(problem.robot.kinematics, q[None])
+            placed = [_placement(rotation[0, row], translation[0, row]) for row, _ in links.values()]
+            clock(f"PyBullet: a state check, these and {len(bodies) * count} to the kitchen", check, placed)
+        yield from clock.measurements()
+    finally:
+        bullet.disconnect(client)
+
+
+def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
+    """Pose row and corners (n, 3) [m, in its frame] of every link with collision geometry, by name."""
+    found: dict[str, tuple[int, list[np.ndarray]]] = {}
+    for piece in robot.links:
+        corners = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
+        found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(corners)
+    return {name: (row, np.concatenate(corners)) for name, (row, corners) in found.items()}
+
+
+def _hull(bullet: Any, vertices: np.ndarray) -> int:
+    shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist())
+    return bullet.createMultiBody(0.0, shape)
+
+
+def _placement(rotation: np.ndarray, translation: np.ndarray) -> Placement:
+    return translation.tolist(), Rotation.from_matrix(rotation).as_quat().tolist()
+
+
+def _obstacles(bullet: Any, obstacles: tuple[SceneObject, ...]) -> int:
+    """One body of fixed links, as a kitchen from an URDF is."""
+    shapes, poses = [], []
+    for item in obstacles:
+        if isinstance(item.shape, Box):
+            half = [0.5 * edge for edge in item.shape.size]
+            shapes.append(bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half))
+        else:
+            assert isinstance(item.shape, Cylinder)
+            size = {"radius": item.shape.radius, "height": item.shape.height}
+            shapes.append(bullet.createCollisionShape(bullet.GEOM_CYLINDER, **size))
+        T = item.T_world_object
+        poses.append(_placement(T[:3, :3], T[:3, 3]))
+    count, nothing = len(shapes), [0.0, 0.0, 0.0]
+    return bullet.createMultiBody(
+        0.0,
+        linkMasses=[0.0] * count,
+        linkCollisionShapeIndices=shapes,
+        linkVisualShapeIndices=[-1] * count,
+        linkPositions=[position for position, _ in poses],
+        linkOrientations=[turn for _, turn in poses],
+        linkInertialFramePositions=[nothing] * count,
+        linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * count,
+        linkParentIndices=[0] * count,
+        linkJointTypes=[bullet.JOINT_FIXED] * count,
+        linkJointAxis=[[0.0, 0.0, 1.0]] * count,
+    )
