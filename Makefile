@@ -1,4 +1,4 @@
-# make venv | reproduce | test | docs | trust | lint | bench | clean. All but the first make the environment they need.
+# make venv | reproduce | test | docs | notebooks | trust | lint | bench | clean. All but the first make the environment they need.
 PYTHON ?= python3
 BIN := .venv/bin
 ALL := '.[dev,docs,train]'
@@ -10,7 +10,7 @@ install = { command -v uv >/dev/null && uv pip install --quiet --python $(BIN)/p
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs pytest trust bench clean
+.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs notebooks pytest trust bench clean
 
 help:
 	@echo "make venv        .venv to plan and reproduce with, pinned in constraints.txt (PYTHON=python3.11 picks another)"
@@ -18,6 +18,7 @@ help:
 	@echo "make venv-dev    the same with torch and tools, to train, test and develop"
 	@echo "make reproduce   20 problems of the place task, all planners, and their table"
 	@echo "make test        lint, table regression, the site with all notebooks run, tests"
+	@echo "make notebooks   run all notebooks and store their outputs in them"
 	@echo "make docs        the site in build/site: README, docs, notebooks with their outputs, results, the API"
 	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
 	@echo "make lint        ruff, mypy, import-linter"
@@ -84,6 +85,9 @@ pytest: venv-dev
 
 docs: venv-dev
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
+
+notebooks: venv-dev warmup
+	$(BIN)/python docs/run_notebooks.py
 
 # Tests come last, so that their summary is the last thing printed.
 test: lint warmup check-tables docs pytest

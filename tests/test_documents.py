@@ -11,6 +11,8 @@ import pytest
 
 import cvqmpt_lab
 from cli.main import COMMANDS, main, parser_with
+from cvqmpt_lab.trajectory.timing import time_path
+from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -93,14 +95,50 @@ def test_a_sampler_of_ones_own_is_a_function(tmp_path, monkeypatch):
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 LONGEST = 15  # cells of a notebook
+MOST_BYTES = 300_000  # of a notebook with its pictures
+MACHINE = re.compile(r"(?<![\w.])/(home|root|work|tmp|usr|opt|mnt|Users|private|var)/")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_are_short_store_no_outputs_and_define_nothing(path):
+def test_notebooks_are_short_and_define_nothing(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert len(notebook.cells) <= LONGEST
     for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
-        assert cell.outputs == [] and cell.execution_count is None
         for node in ast.walk(ast.parse(cell.source)):
             assert not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef), cell.source
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_store_their_outputs(path):
+    """All cells ran, in their order, without an error; there is a picture, and nothing names a place on a machine."""
+    assert path.stat().st_size <= MOST_BYTES
+    cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    for output in outputs:
+        assert output.output_type != "error" and output.get("name") != "stderr"
+        data = output.get("data", {})
+        texts = [output.get("text", ""), *(part for kind, part in data.items() if kind != "image/png")]
+        assert not MACHINE.search("\n".join(texts)) and "UNCOMMITTED" not in "\n".join(texts)
+
+
+def test_a_motion_becomes_the_fields_of_a_ros_2_message(tmp_path, solution):
+    page = (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
+    names = {}
+    exec(compile(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0], "ros2.md", "exec"), names)
+    motion = time_path(solution.simplified.path.states, solution.problem.robot.joint_limits)
+    messages = []
+    for ending in ("json", "csv"):
+        save_trajectory(motion, tmp_path / f"motion.{ending}")
+        messages.append(names["joint_trajectory"](tmp_path / f"motion.{ending}"))
+    assert messages[0] == messages[1]
+    message = messages[0]
+    assert message.keys() == {"header", "joint_names", "points"}
+    assert message["joint_names"] == list(solution.problem.robot.joint_names)
+    last = message["points"][-1]
+    assert last["positions"] == motion.positions[-1].tolist()
+    assert last["velocities"] == [0.0] * 7 and last["accelerations"] == last["effort"] == []
+    when = last["time_from_start"]
+    assert when["sec"] + 1e-9 * when["nanosec"] == pytest.approx(motion.duration, abs=1e-9)

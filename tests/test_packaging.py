@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 from cvqmpt_lab.robot.source import ARMS
@@ -76,10 +77,22 @@ def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
     assert [name for name, licence in listed.items() if licence == "UNKNOWN"] == ["cmeel-qhull"]
 
 
-@pytest.mark.parametrize("name", ["Makefile", ".ci/run", "constraints.txt", "locked.txt", "pyproject.toml"])
+INSTALLING = ("Makefile", "Dockerfile", ".ci/run", "constraints.txt", "locked.txt", "pyproject.toml")
+
+
+@pytest.mark.parametrize("name", INSTALLING)
 def test_no_package_index_is_named(name):
     text = (ROOT / name).read_text()
     assert re.search(r"https?://|--index-url|--find-links|--trusted-host", text) is None
+
+
+def test_the_container_has_a_supported_python_and_runs_as_a_user():
+    instructions = re.findall(r"^([A-Z]+) (.*)", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
+    (base,) = (value for name, value in instructions if name == "FROM")
+    python = base.removeprefix("python:").removesuffix("-slim")
+    assert SpecifierSet(PROJECT["requires-python"]).contains(f"{python}.5")
+    assert [value for name, value in instructions if name == "USER"] == ["user"]
+    assert instructions[-1] == ("CMD", '["make", "reproduce"]')
 
 
 def linted(arguments, tmp_path):

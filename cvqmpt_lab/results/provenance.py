@@ -20,7 +20,10 @@ PROVENANCE_FILE = "provenance.json"
 _PACKAGES = (
     "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
 )  # fmt: skip
-DIGESTS = ("weights", "problem_files")  # fields of a session: sha256 by name, which later sessions must not change
+DIGESTS = (
+    "weights",
+    "problem_files",
+)  # fields of a session: sha256 by name, which later sessions must not change
 # What the fields of a session are, and of a configuration, that others read.
 _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),

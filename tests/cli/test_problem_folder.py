@@ -65,7 +65,9 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(fo
     changed(folder / "b10.json", name="third")
     added = reproduce(folder, out)
     assert [row.problem for row in added] == ["first-2-carry", "second", "third"]
-    assert [added[0], added[1]] == rows and set(ProvenanceFile(out).read()["continued"][0]["problem_files"]) == {
+    assert [added[0], added[1]] == rows and set(
+        ProvenanceFile(out).read()["continued"][0]["problem_files"]
+    ) == {
         "first-2-carry",
         "third",
     }
