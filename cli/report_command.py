@@ -25,9 +25,11 @@ def run(args: argparse.Namespace) -> int:
 
 def write_report(directory: Path, out: Path | None = None) -> Path:
     """Write the report of results, into their folder unless `out` is given, and return its path."""
-    from paper_tables.report.page import report_html  # matplotlib takes a second to import
+    from experiments.stored_path import first_path
+    from paper_tables.report.page import evidence_of, report_html  # matplotlib takes a second to import
 
-    text = report_html(directory, ProgressBar("report"))
+    found = evidence_of(directory)
+    text = report_html(found, ProgressBar("report"), first_path(found))
     out = writable_file(out or directory / NAME)
     write_text(out, text)
     return out

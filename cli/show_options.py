@@ -104,4 +104,5 @@ def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
 
 
 def _page_line(path: Path) -> str:
-    return f"page written to {path}; open it in a browser, no network is needed"
+    size = path.stat().st_size / 1e6
+    return f"page written to {path} ({size:.1f} MB); open it in a browser, no network is needed"

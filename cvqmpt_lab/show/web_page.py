@@ -16,6 +16,7 @@ import numpy as np
 
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
@@ -81,11 +82,31 @@ class Page:
 
 def save_page(solution: Solution, path: Path, carried: Sequence[Attachment] = ()) -> list[str]:
     """Write a solution as one html file; what a reader should know of it. carried: as for `draw_solution`."""
-    problem = with_load(solution.problem, carried)
+    shown = solution.simplified.path if solution.simplified else None
+    verdict = "solved and certified" if solution.solved else "not solved"
+    return write_page(_page_of(solution.problem, shown, verdict, repr(solution).splitlines(), carried), path)
+
+
+def path_html(
+    problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()
+) -> str:
+    """The same html of states (m, n) [rad or m] of a path that is known to solve a problem, with a verdict in words."""
+    return _html(_page_of(problem, JointPath(states), verdict, repr(problem).splitlines(), carried))[0]
+
+
+def _page_of(
+    problem: PlanningProblem,
+    path: JointPath | None,
+    verdict: str,
+    lines: Sequence[str],
+    carried: Sequence[Attachment],
+) -> Page:
+    """A problem with a path, or with none; lines: of text below the plots."""
+    bare, problem = problem, with_load(problem, carried)
     states, plots = problem.start[None], []
-    if solution.simplified is not None:
-        states = _few(solution.simplified.path)
-        plots = [*tilt_plots(problem, states), *plots_along(solution.problem, states)]
+    if path is not None:
+        states = _few(path)
+        plots = [*tilt_plots(problem, states), *plots_along(bare, states)]
     T_world_link, T_world_hand = poses_along(problem.robot, states)
     bodies = _scene(problem.scene)
     for part in problem.robot.links:
@@ -93,10 +114,10 @@ def save_page(solution: Solution, path: Path, carried: Sequence[Attachment] = ()
         bodies.append(Body("robot", hull_mesh(part.vertices), ROBOT_COLOUR, poses))
     for item in problem.attachments:
         bodies.append(Body(item.name, shape_mesh(item.shape), LOAD_COLOUR, T_world_hand @ item.T_hand_object))
-    end = problem.goals[:1] if solution.simplified is None else states[-1:]
+    end = problem.goals[:1] if path is None else states[-1:]
     for mesh in (mesh for q in end for mesh in robot_meshes(problem, q, GOAL_COLOUR)):
         bodies.append(Body("goal", mesh, GOAL_COLOUR, opacity=0.35))
-    if solution.simplified is not None:
+    if path is not None:
         bodies.append(Body("path of the hand", beads(T_world_hand[:, :3, 3], TRACE_COLOUR), TRACE_COLOUR))
     for mark in constraint_marks(problem, states):
         bodies.append(Body("constraint", mark, CONSTRAINT_COLOUR, opacity=0.35))
@@ -105,16 +126,14 @@ def save_page(solution: Solution, path: Path, carried: Sequence[Attachment] = ()
         bodies.append(Body("axes of the hand", _part(axes, axes.piece == k), colour, T_world_hand))
     seen = [joined(robot_meshes(problem, q, ROBOT_COLOUR)) for q in (states[0], states[-1])]
     still = [body.mesh for body in bodies if body.group == "scene"]
-    travelled = travelled_along(states)
-    page = Page(
-        f"{problem.name}: {problem.robot.name}, {'solved and certified' if solution.solved else 'not solved'}",
+    return Page(
+        f"{problem.name}: {problem.robot.name}, {verdict}",
         bodies,
-        [f"state {k} of {len(states) - 1}, {way:.2f} rad" for k, way in enumerate(travelled)],
+        [f"state {k} of {len(states) - 1}, {way:.2f} rad" for k, way in enumerate(travelled_along(states))],
         clear_viewpoint(seen, still, SIZE),
         plots=plots,
-        lines=repr(solution).splitlines(),
+        lines=lines,
     )
-    return write_page(page, Path(path))
 
 
 def save_task_page(solution: TaskSolution, path: Path) -> list[str]:
@@ -140,11 +159,18 @@ def save_task_page(solution: TaskSolution, path: Path) -> list[str]:
         seconds=duration,
         lines=repr(solution).splitlines(),
     )
-    return write_page(page, Path(path))
+    return write_page(page, path)
 
 
-def write_page(page: Page, path: Path) -> list[str]:
+def write_page(page: Page, path: Path | str) -> list[str]:
     """Write a page with few enough triangles; a line that says so where they were reduced."""
+    html, note = _html(page)
+    write_text(Path(path), html)
+    return note
+
+
+def _html(page: Page) -> tuple[str, list[str]]:
+    """The text of a page, and a line that says so where triangles were reduced."""
     bodies, note = _reduced(page.bodies)
     offset = np.subtract(page.viewpoint.eye, page.viewpoint.target)
     distance = float(np.linalg.norm(offset))
@@ -165,8 +191,7 @@ def write_page(page: Page, path: Path) -> list[str]:
         "plots": [_plot(plot) for plot in page.plots],
     }
     text = json.dumps(data, allow_nan=False).replace("</", "<\\/")  # else a name could end the script
-    write_text(path, TEMPLATE.read_text().replace(PLACE, PLACE.replace("{}", text)))
-    return note
+    return TEMPLATE.read_text(encoding="utf-8").replace(PLACE, PLACE.replace("{}", text)), note
 
 
 def _few(path: JointPath) -> np.ndarray:

@@ -4,7 +4,7 @@ import base64
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -31,17 +31,27 @@ ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "len
 MOST_BYTES = 2_000_000  # of a picture that is taken into the page
 
 
-def report_html(directory: Path, report: Callable[[int, int], None] = lambda done, total: None) -> str:
-    """One self-contained file about a results directory, or all that are below a folder.
+class PathPage(NamedTuple):
+    """One path of a results directory to turn: what it is of, and a page of its own."""
 
-    report: is called with how many of them are done. InvalidInputError when there are none, or they cannot be read.
+    title: str
+    html: str
+
+
+def report_html(
+    found: Mapping[str, Evidence],
+    report: Callable[[int, int], None] = lambda done, total: None,
+    paths: Mapping[str, PathPage] | None = None,
+) -> str:
+    """One self-contained file about results directories, see `evidence_of`.
+
+    report: is called with how many of them are done. paths: by the name of the directory that each is of.
     """
-    found = evidence_of(Path(directory))
     claims = [item for item in judged_claims(found) if item.verdicts or not item.claim.statements]
     sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
-        sections.append(section_of(evidence))
+        sections.append({**section_of(evidence), "path": (paths or {}).get(evidence.folder.name)})
     report(len(found), len(found))
     environment = Environment(
         loader=PackageLoader("paper_tables", "report"), autoescape=True, undefined=StrictUndefined

@@ -63,6 +63,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})
     words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
+    assert "A path to turn: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 15 and max(map(len, lines)) <= 100 + len(str(tmp_path))
     assert str(tmp_path / "report.html") in lines[-1] and str(tmp_path / "claims.md") in lines[-2]

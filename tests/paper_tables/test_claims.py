@@ -11,7 +11,7 @@ from cvqmpt_lab.results.statistics import Interval
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import committed_pages, page_text, stale_pages, with_summary
 from paper_tables.judging import Ruling, ruling
-from paper_tables.report.page import report_html
+from paper_tables.report.page import evidence_of, report_html
 
 FASTER, SHORTER, SOLVES, PLANNING, *_, COMPLETE = range(9)
 
@@ -50,7 +50,7 @@ def test_wide_intervals_are_too_few_runs_and_the_profile_is_named(tmp_path):
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
         assert ("--profile small" in page_text(found, judged_claims(found), results)) is warned
-        assert ("--profile small" in report_html(results)) is warned
+        assert ("--profile small" in report_html(evidence_of(results))) is warned
 
 
 def test_a_readme_without_the_marks_of_the_summary_is_refused():

@@ -11,7 +11,7 @@ from cli.main import main
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from paper_tables.planner_styles import COLOURS, OURS, line_style
-from paper_tables.report.page import report_html
+from paper_tables.report.page import PathPage, evidence_of, report_html
 
 EVIL = "<script>alert(1)</script>$x$"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -29,7 +29,8 @@ def results(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(results):
-    return report_html(results)
+    turned = {"place-task": PathPage("problem 3", "</script>turned")}
+    return report_html(evidence_of(results), paths=turned)
 
 
 def test_a_report_holds_verdicts_plots_rows_and_where_they_come_from(page):
@@ -46,7 +47,7 @@ def test_it_needs_no_network(page):
 
 
 def test_names_from_rows_are_text(page):
-    assert "<script>alert" not in page and "</table>&" not in page
+    assert "<script>alert" not in page and "</table>&" not in page and "</script>turned" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
@@ -59,13 +60,15 @@ def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys,
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt install chromium)")
 def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
-    (tmp_path / "r.html").write_text(page)
+    opened = "<script>document.querySelector('.path').open = true;</script></body>"
+    (tmp_path / "r.html").write_text(page.replace("</body>", opened))
     arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--dump-dom"]
     arguments += ["--enable-logging=stderr", f"--user-data-dir={tmp_path}"]
     words = [CHROMIUM, *arguments, (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=500, check=True)
     assert "CONSOLE" not in done.stderr
     assert "<dialog" in done.stdout and "opt-cvq-mpt: rows of place-task" in done.stdout, "the script ran"
+    assert re.search(r'srcdoc="[^"]*turned"', done.stdout), "what is opened shows its page"
 
 
 def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
