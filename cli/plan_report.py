@@ -31,9 +31,12 @@ def report(solution: Solution, planner: str, why: str = "") -> list[str]:
         f"status      {_status(solution)}",
         f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
         + (f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""),
-        f"counts      {counts.projections} projections, {counts.newton_iterations} Newton iterations, "
-        f"{counts.state_checks} state checks, {plan.vertices} vertices",
     ]
+    if not plan.as_is:
+        lines.append(
+            f"counts      {counts.projections} projections, {counts.newton_iterations} Newton iterations, "
+            f"{counts.state_checks} state checks, {plan.vertices} vertices"
+        )
     if plan.path is not None and shorter is not None:
         lines.append(f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
     if solution.improvement is not None:
@@ -112,7 +115,7 @@ def solution_data(solution: Solution, planner: str, why: str = "") -> dict[str, 
             "search": plan.search_seconds,
             "simplify": shorter.seconds if shorter else None,
         },
-        "counts": vars(plan.counters) | {"vertices": plan.vertices},
+        "counts": None if plan.as_is else vars(plan.counters) | {"vertices": plan.vertices},
         "length_rad": shorter.path.length if shorter else None,
         "optimize": more and vars(more) | {"budget": vars(more.budget), "gained": more.gained},
         "certificate": certificate

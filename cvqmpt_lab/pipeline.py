@@ -39,6 +39,7 @@ class Solution(Pictured):
     certificate: Certificate | None = None  # of the shortened path; None without one
     goal_seconds: float = 0.0  # what drawing goals took [s]
     observe_seconds: float = 0.0  # of rendering or reading the cloud [s]; charged to nobody
+    wall_seconds: float | None = None  # of the whole call up to the path, without goals and cloud [s]
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
     distribution: SamplingDistribution | None = (
         None  # that the search drew from; None where it drew from none
@@ -94,6 +95,7 @@ def solve(
         check_units(budget, optimize)
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
+    called = time.perf_counter()
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
         plan = no_plan(
@@ -110,7 +112,7 @@ def solve(
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
     space, rng = ConstrainedSpace(problem, backend), problem.random_stream(seed)
 
-    query = Query.of(space, budget, rng)
+    query = Query.of(space, budget, rng, seed)
     proposal = stages.predict(query, observation)
     if stages.update is not None:
         proposal = stages.update(query, proposal)
@@ -123,21 +125,30 @@ def solve(
     if space.doubtful:
         exact = f"exact checks near {', '.join(space.doubtful)}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
-    drawn_from = proposal.distribution if stages.search is None and proposal.path is None else None
-    found = Solution(problem, plan, None, None, goal_seconds, observation.seconds, distribution=drawn_from)
-    if plan.path is None:
-        return found
-    shorter = simplify(space, plan.path, rng, simplification)
-    found = replace(
-        found, simplified=shorter, certificate=certify(problem, shorter.path, clearance=clearance)
+    sampled = stages.search is None and proposal.path is None and not proposal.as_is
+    drawn_from = proposal.distribution if sampled else None
+    shorter = None
+    if plan.path is not None:
+        shorter = _as_is(plan.path) if plan.as_is else simplify(space, plan.path, rng, simplification)
+    wall = time.perf_counter() - called - goal_seconds - observation.seconds
+    found = Solution(
+        problem, plan, shorter, None, goal_seconds, observation.seconds, wall, distribution=drawn_from
     )
-    if optimize is None:
+    if shorter is None:
+        return found
+    found = replace(found, certificate=certify(problem, shorter.path, clearance=clearance))
+    if optimize is None or plan.as_is:
         return found
     rng = problem.random_stream(seed, 1)
     best, improvement = improve(
         space, tree_search, proposal.distribution, shorter.path, optimize, rng, simplification
     )
     return _with_better(found, best, improvement, clearance)
+
+
+def _as_is(path: JointPath) -> Simplified:
+    """A path of others, which nobody shortens."""
+    return Simplified(path, 0.0, Counters())
 
 
 def _turns(problem: PlanningProblem) -> bool:

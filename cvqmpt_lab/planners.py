@@ -12,6 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.external.found import PEERS, external_names, find_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
 from cvqmpt_lab.search.query import Stages
@@ -39,6 +40,7 @@ class Method:
     )
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
+    external: str = ""  # of a planner of others: its distributions and their versions
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
@@ -134,6 +136,18 @@ def _straight_line(name: str, uniform_share: float) -> Method:
     return Method.simple(name, predict=StraightLine(AroundPath(name, uniform_share=uniform_share)))
 
 
+def _external(name: str) -> Method:
+    """A planner of others, see `external.found`."""
+    found = find_external(name)
+
+    def build(problem: PlanningProblem, model: str) -> Stages:
+        from cvqmpt_lab.external.call import ExternalPlanner
+
+        return Stages(predict=ExternalPlanner(found))
+
+    return Method(name, build, external=found.made_by)
+
+
 def _by_name(*methods: Method) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
@@ -198,16 +212,22 @@ WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items(
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
-    """The planner or control of that name; model: name or folder of its weights, None for the shipped ones."""
+    """The planner or control of that name; model: name or folder of its weights, None for the shipped ones.
+
+    Planners of others are ``package.module:planner``, the adapters that ship, and entry points, see `external.found`.
+    """
+    refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED, *REMOVED, *PEERS))
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
     if name in REMOVED:
         raise InvalidInputError(f"planner {name} was removed; use {REMOVED[name]}")
     if name.startswith(PREFIX):
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
+    elif ":" in name or name in PEERS or name in external_names():
+        found = _external(name)
     if found is None:
-        raise UnknownChoiceError(
-            "planner", name, [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}graph+wide, ..."]
-        )
+        others = [*PEERS, *external_names(), "package.module:planner"]
+        known = [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}graph+wide, ..."]
+        raise UnknownChoiceError("planner", name, [*known, *others])
     return found if model is None else found.with_model(model)
 
 

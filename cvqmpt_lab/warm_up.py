@@ -72,6 +72,8 @@ def warm_up(
 
     announce: called before anything is compiled, which takes a while.
     """
+    if method.external:  # which may use ours; whatever else it prepares, it is charged for
+        method = planner_named("birrt")
     if announce is not None and not compiled_before():
         announce("compiling kernels, once per machine and version ...")
     empty, _ = with_sampled_goals(replace(problem, scene=Scene("empty", ())))

@@ -92,8 +92,8 @@ def _detail(error: BaseException) -> str:
 
 
 @contextmanager
-def local_processes(count: int, limit_s: float | None = None) -> Iterator[Executor]:
-    """Processes on this machine; limit_s: time [s] after which a task is given up."""
+def local_processes(count: int, limit_s: Callable[[Any], float] | float | None = None) -> Iterator[Executor]:
+    """Processes on this machine; limit_s: time [s] after which a task is given up, or a function of the task."""
     import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
 
@@ -112,10 +112,19 @@ def local_processes(count: int, limit_s: float | None = None) -> Iterator[Execut
         MemoryError: FailReason.OUT_OF_MEMORY,
     }
     try:
-        yield Executor(count, lambda f, *args: pool.schedule(f, args, timeout=limit_s), losses, attempts=2)
+        yield Executor(
+            count,
+            lambda f, task: pool.schedule(f, (task,), timeout=_limit(limit_s, task)),
+            losses,
+            attempts=2,
+        )
     finally:
         pool.stop()
         pool.join()
+
+
+def _limit(limit_s: Callable[[Any], float] | float | None, task: Any) -> float | None:
+    return limit_s(task) if callable(limit_s) else limit_s
 
 
 def _prepare_worker(parent: int) -> None:
@@ -130,7 +139,9 @@ def _prepare_worker(parent: int) -> None:
 
 
 @contextmanager
-def dask_cluster(address: str, limit_s: float, installed: Callable[[], dict[str, Any]]) -> Iterator[Executor]:
+def dask_cluster(
+    address: str, limit_s: Callable[[Any], float] | float, installed: Callable[[], dict[str, Any]]
+) -> Iterator[Executor]:
     """Workers of a Dask cluster; `installed` gives by name what decides results and must be equal on every machine.
 
     Dask replaces a worker that a task ends, or keeps busy for longer than limit_s [s], and repeats the task as often as
@@ -164,7 +175,9 @@ def dask_cluster(address: str, limit_s: float, installed: Callable[[], dict[str,
                 raise InvalidInputError(f"{worker} has other {what}; install the same cvqmpt-lab there")
         executor = client.get_executor()
         losses = {KilledWorker: FailReason.WORKER_DIED, MemoryError: FailReason.OUT_OF_MEMORY}
-        yield Executor(len(threads), lambda f, *args: executor.submit(_limited, limit_s, f, *args), losses)
+        yield Executor(
+            len(threads), lambda f, task: executor.submit(_limited, _limit(limit_s, task), f, task), losses
+        )
 
 
 def _limited(limit_s: float, function: Callable[..., Any], *args: Any) -> Any:

@@ -108,6 +108,7 @@ def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> l
 def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     """The row of a solution; undefined values stay empty."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
+    work = None if plan.as_is else plan.counters
     timings, search, more = plan.timings, plan.search_seconds, solution.improvement
     simplified = (shorter.seconds if shorter else 0.0) + (more.seconds if more else 0.0)
     reasons = certificate.reasons if certificate else ()
@@ -124,14 +125,14 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         t_predict_s=timings.predict,
         t_optimize_s=timings.optimize,
         t_plan_s=search,
-        t_simplify_s=shorter.seconds if shorter else None,
-        n_projections=plan.counters.projections,
-        n_newton_iterations=plan.counters.newton_iterations,
-        n_state_checks=plan.counters.state_checks,
-        n_iterations=plan.counters.iterations,
-        n_clearances=plan.counters.clearances,
-        vertices=plan.vertices,
-        path_length_raw_rad=plan.path.length if plan.path else None,
+        t_simplify_s=shorter.seconds if shorter and not plan.as_is else None,
+        n_projections=work and work.projections,
+        n_newton_iterations=work and work.newton_iterations,
+        n_state_checks=work and work.state_checks,
+        n_iterations=work and work.iterations,
+        n_clearances=work and work.clearances,
+        vertices=None if plan.as_is else plan.vertices,
+        path_length_raw_rad=plan.path.length if plan.path and not plan.as_is else None,
         path_length_rad=shorter.path.length if shorter else None,
         max_violation_rad=_defined(certificate.max_violation_rad) if certificate else None,
         max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
@@ -141,6 +142,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         n_restarts=more.searches if more else None,
         path_length_first_rad=more.lengths[0][1] if more else None,
         g_sampled=_sampled_g(solution),
+        t_wall_s=solution.wall_seconds,
         **(asdict(run.method.sampler) if run.method.sampler else {}),
     )
 

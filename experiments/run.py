@@ -29,6 +29,10 @@ from experiments.suites.suite import SuiteItem, suite_named
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 """What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""
+EXTERNAL_SPARE_S, EXTERNAL_TIMES = 120.0, 6
+"""The same for planners of others, which may hang: the first run of a process warms up all of ours."""
+WARM_UP_S = 5.0  # given to a planner to warm up [s]
+_WARM: set[str] = set()  # planners of others that this process has called
 PACKAGES = Path(__file__).resolve().parents[1]
 
 
@@ -84,10 +88,11 @@ class Experiment:
             for planner in self.planners
         ]
 
-    @property
-    def limit_s(self) -> float:
+    def limit_s(self, run: Run) -> float:
         """Time [s] without an answer after which a run is given up: far more than any takes that is alive."""
-        return SPARE_S + TIMES * sum(_longest(budget) for budget in (self.budget, self.optimize) if budget)
+        external = planner_named(run.planner).external
+        spare, times = (EXTERNAL_SPARE_S, EXTERNAL_TIMES) if external else (SPARE_S, TIMES)
+        return spare + times * sum(_longest(budget) for budget in (self.budget, self.optimize) if budget)
 
     @property
     def digests(self) -> dict[str, str]:
@@ -141,6 +146,7 @@ def run_experiment(
         weights_of(experiment.planners, experiment.model),
         executor.size,
         experiment.digests,
+        externals_of(experiment.planners),
     )
     with RunStore.open(out, experiment.settings(), session) as store:
         runs, done = experiment.runs, store.done()
@@ -175,6 +181,12 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
     return {kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)}
 
 
+def externals_of(planners: Iterable[str]) -> dict[str, str]:
+    """Distributions and versions of planners of others, by the planner's name."""
+    made_by = {name: planner_named(name).external for name in planners if name not in REMOVED}
+    return {name: text for name, text in made_by.items() if text}
+
+
 def default_jobs() -> int:
     """One process per core."""
     return os.cpu_count() or 1
@@ -186,15 +198,22 @@ def _installed(experiment: Experiment) -> dict[str, object]:
     for package in ("cvqmpt_lab", "experiments"):
         for path in sorted((PACKAGES / package).rglob("*.py")):
             digest.update(f"{path.relative_to(PACKAGES)}".encode() + path.read_bytes())
-    weights = weights_of(experiment.planners, experiment.model)
-    return {"sources": digest.hexdigest(), "weights": weights, "problem files": experiment.digests}
+    return {
+        "sources": digest.hexdigest(),
+        "weights": weights_of(experiment.planners, experiment.model),
+        "problem files": experiment.digests,
+        "planners": externals_of(experiment.planners),
+    }
 
 
 def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
     """What comes of a run; an error that is no user's costs that run alone."""
-    _warm_up(one_run_a_planner)
+    external = planner_named(run.planner).external
+    _warm_up(tuple(one for one in one_run_a_planner if not planner_named(one.planner).external))
     item, seconds = _item(run.suite, run.item)
     try:
+        if external:
+            _warm_up_external(run)
         return outcome_of(run, item, seconds)
     except (CvqmptError, MemoryError):
         raise
@@ -209,9 +228,19 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
     compile_kernels(lambda _: None)
     for run in runs:
         item, seconds = _item(run.suite, run.item)
-        budget = Budget(seconds=5.0, iterations=None if isinstance(item, Task) else 1)
+        budget = Budget(seconds=WARM_UP_S, iterations=None if isinstance(item, Task) else 1)
         outcome_of(replace(run, budget=budget), item, seconds)
     _item.cache_clear()
+
+
+def _warm_up_external(run: Run) -> None:
+    """Call a planner of others once a process, so that no row pays for what it loads; in its own run: it may hang."""
+    if run.planner in _WARM:
+        return
+    _WARM.add(run.planner)
+    item, seconds = _item(run.suite, run.item)
+    short = replace(run.budget, seconds=min(WARM_UP_S, run.budget.seconds or WARM_UP_S))
+    outcome_of(replace(run, budget=short), item, seconds)
 
 
 @lru_cache(maxsize=4)

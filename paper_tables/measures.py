@@ -74,6 +74,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name
     "simplify_time": attrgetter("t_simplify_s"),
     "sense_time": attrgetter("t_sense_s"),
     "whole_time": attrgetter("t_whole_s"),
+    "wall_time": attrgetter("t_wall_s"),
     "planning_time": attrgetter("t_total_s"),
     "execution_time": attrgetter("execution_time_s"),
     "total_time": _planning_and_execution,

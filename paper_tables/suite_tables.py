@@ -14,6 +14,7 @@ from paper_tables.constraints_table import arms_table, constraints_table
 from paper_tables.factorial_table import factorial_table
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
+from paper_tables.peers_table import peers_table
 from paper_tables.place_task_table import place_task_table
 from paper_tables.robustness_table import robustness_table
 from paper_tables.table_engine import Rendered, rows_of_one_suite
@@ -52,6 +53,7 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
     "factorial-constraints": SuiteTable(
         "Factorial: predictor x Gaussians x update, eight kinds of constraints", factorial_table
     ),
+    "peers": SuiteTable("Planners of others, place task with a single goal", peers_table),
     "open-door": SuiteTable("Open the shelf's door, the hand on its handle"),
     "multi-sequence": SuiteTable(
         "Multi-sequence task: open the shelf, take the can, stand it on the counter",

@@ -20,10 +20,8 @@ PROVENANCE_FILE = "provenance.json"
 _PACKAGES = (
     "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
 )  # fmt: skip
-DIGESTS = (
-    "weights",
-    "problem_files",
-)  # fields of a session: sha256 by name, which later sessions must not change
+DIGESTS = ("weights", "problem_files", "planners")
+"""Fields of a session, by name: sha256, of planners of others what made them; later sessions must not change them."""
 # What the fields of a session are, and of a configuration, that others read.
 _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
@@ -43,11 +41,13 @@ def provenance(
     weights: Mapping[str, str] | None = None,
     processes: int | None = None,
     problems: Mapping[str, str] | None = None,
+    planners: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Describe one session of runs, ready for json; unknown facts are None and nothing here fails.
 
     weights: digest of each model in use, by the model's name. processes: how many ran side by side.
-    problems: digest of each problem that was read from a file, by its name.
+    problems: digest of each problem that was read from a file, by its name. planners: distributions and versions of
+    each planner of others, by its name.
     """
     commit, dirty = _git_state(_CHECKOUT)
     return {
@@ -64,6 +64,7 @@ def provenance(
         "cpu_count": os.cpu_count(),
         "processes": processes,
         **({"problem_files": dict(problems)} if problems else {}),
+        **({"planners": dict(planners)} if planners else {}),
         "thread_variables": {name: os.environ.get(name) for name in _THREAD_VARIABLES},
     }
 

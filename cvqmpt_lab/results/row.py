@@ -38,6 +38,9 @@ class FailReason(StrEnum):
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
     PLANNER_ERROR = "planner_error"
+    MALFORMED_PATH = "malformed_path"
+    OVERTIME = "overtime"
+    NO_PATH = "no_path"
     UNCERTIFIED_SHAPE = "uncertified_shape"
     UNCERTIFIED_START = "uncertified_start"
     UNCERTIFIED_GOAL = "uncertified_goal"
@@ -132,6 +135,8 @@ class ResultRow:
     n_clearances: int | None = (
         None  # states whose clearance was read from a distance field: approximate checks
     )
+    # Wall clock around `pipeline.solve` up to the path, shortened: all but goals, clouds, `t_improve_s`, certificate.
+    t_wall_s: float | None = None
 
     def __post_init__(self) -> None:
         for column, kind in field_kinds(ResultRow).items():

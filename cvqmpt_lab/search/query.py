@@ -160,11 +160,12 @@ class Query:
     goals: np.ndarray  # (k, n) [rad or m]; any one will do
     deadline: Deadline  # shared by prediction and search; its clock runs since the query was made
     rng: np.random.Generator
+    seed: int = 0  # that `rng` came from, for planners with random numbers of their own
 
     @classmethod
-    def of(cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator) -> "Query":
+    def of(cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator, seed: int = 0) -> "Query":
         """The question that a space's problem asks; the clock starts now."""
-        return cls(space, space.problem.start, space.problem.goals, Deadline(budget, space), rng)
+        return cls(space, space.problem.start, space.problem.goals, Deadline(budget, space), rng, seed)
 
     @property
     def uniform(self) -> Uniform:
@@ -197,6 +198,7 @@ class Proposal:
     vertices: int = 0  # nodes of searches made on the way
     path: JointPath | None = None  # on the manifold and free; the search then has nothing left to do
     failure: PlanStatus | None = None  # why searching is pointless, or None
+    as_is: bool = False  # of a planner of others, see `PlanResult.as_is`
 
 
 def uniform(query: Query, observation: Observation) -> Proposal:
@@ -260,4 +262,5 @@ def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> P
         timings=proposal.timings,
         detail="; ".join(filter(None, (proposal.detail, result.detail))),
         fallback=proposal.fallback,
+        as_is=proposal.as_is,
     )

@@ -21,6 +21,10 @@ class PlanStatus(StrEnum):
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
+    PLANNER_ERROR = "planner_error"  # these and the next three: of planners of others
+    MALFORMED_PATH = "malformed_path"
+    OVERTIME = "overtime"
+    NO_PATH = "no_path"  # before its time was over
 
 
 @dataclass(frozen=True)
@@ -123,6 +127,7 @@ class PlanResult:
     detail: str = ""  # a few words more, e.g. about a failure
     fallback: str = ""  # what found the path if not what the planner's name promises, and why, or ""
     timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
+    as_is: bool = False  # a path of others: certified as it is; their work is not counted
 
     @property
     def search_seconds(self) -> float:

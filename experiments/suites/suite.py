@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.external.found import PEERS
 from cvqmpt_lab.planners import PLANNERS, WITHOUT_WEIGHTS, Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
@@ -54,6 +55,7 @@ IN_A_NEW_KITCHEN = (
     "roadmap-cvq",
 )
 ON_ANY_ROBOT = ("birrt", "ompl-projected", "roadmap")
+WITH_PEERS = ("birrt", "roadmap", "roadmap-cvq", *PEERS)
 ZERO_SHOT = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
@@ -120,6 +122,7 @@ SUITES: Mapping[str, Suite] = {
         Suite(
             "robots", range(len(ROBOTS) * len(ROBOT_PROBLEMS)), robots_problem, ON_ANY_ROBOT, new_scenes=True
         ),
+        Suite("peers", SINGLE_GOAL_ENVIRONMENTS, single_goal_problem, WITH_PEERS, carried=(carried_can(),)),
         Suite("sensor", SCENES, sensor_problem, new_scenes=True),
         Suite("sensor-robustness", VARIED_PROBLEMS, robustness_problem, VARIED_PLANNERS, new_scenes=True),
         Suite("multi-sequence", TASKS, multi_sequence_task, settings={"speed": SLOW}),

@@ -41,7 +41,7 @@ def test_a_read_only_directory_is_refused(capsys, tmp_path):
 
 def test_every_suite_and_the_controls_are_part_of_everything():
     full = {part.folder: part.experiment for part in amounts("full")}
-    assert full.keys() == {*SUITES, "controls"}
+    assert full.keys() == {*SUITES, "controls"} - {"peers"}  # needs planners that not everybody installs
     for name in ("place-task", "multi-sequence"):
         assert len(full[name].seeds) == 5 and set(full[name].planners) == set(PLANNERS)
         assert full[name].problems == tuple(SUITES[name].problems)

@@ -8,7 +8,7 @@ from cvqmpt_lab.results.row import COLUMNS, one_line, read_rows, write_rows
 def test_files_from_before_the_last_columns_are_read(tmp_path):
     path, row = tmp_path / "rows.csv", a_row(t_total_s=1.5, path_sha256="0" * 64)
     write_rows(path, [row])
-    for gone in (1, 16):
+    for gone in (1, len(COLUMNS) - COLUMNS.index("t_sense_s")):
         lines = path.read_text().splitlines()
         path.write_text("".join(",".join(line.split(",")[:-gone]) + "\n" for line in lines))
         if gone == 1:
