@@ -6,8 +6,9 @@ from pathlib import Path
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from paper_tables.claims import banner, evidence_below, judged_claims
-from paper_tables.claims_page import PAGE, committed_pages, page_text
+from paper_tables.claims_page import PAGE, committed_pages, decomposition_lines, page_text, summary_lines
 from paper_tables.committed import RESULTS, committed_directories, require_checkout
+from paper_tables.writers import text_lines
 
 PAGE_NAME = "claims.md"
 EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all --write")
@@ -47,8 +48,10 @@ def pages_of(results: Path) -> dict[Path, str]:
 
 
 def verdict_lines(results: Path) -> list[str]:
-    """A line a claim."""
+    """A line a claim, and what each step brings."""
     found = evidence_below(results)
     warned = banner(found)
-    lines = [f"{item.verdict:22} {item.claim.title}" for item in judged_claims(found)]
+    lines = text_lines(summary_lines(judged_claims(found)))
+    if "place-task" in found:
+        lines += ["", *text_lines(decomposition_lines(found["place-task"]))]
     return [warned, *lines] if warned else lines

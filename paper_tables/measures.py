@@ -24,7 +24,9 @@ from cvqmpt_lab.results.statistics import (
 
 REFERENCE = "birrt"  # its work says how hard a problem is; others are compared with it
 HARD_SHARE = 1 / 3
-STATE_CHECK_COST = 3.5e-3  # [s] PyBullet, all distances of a Panda in this kitchen: 0.7 ms itself, 2.8 others
+STATE_CHECK_COST = (
+    3.5e-3  # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
+)
 # Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does more in Python,
 # so this is a lower bound and favours planners that project much.
 PROJECTION_COST = 2e-5
@@ -59,6 +61,17 @@ def own_time(row: ResultRow) -> float | None:
     return None if row.t_total_s is None else row.t_total_s - (row.t_goals_s or 0.0)
 
 
+def known_time(row: ResultRow) -> float | None:
+    """`own_time` without encoding the scene: of a scene that was encoded before [s]."""
+    own = own_time(row)
+    return None if own is None else own - (row.t_encode_s or 0.0)
+
+
+def new_time(row: ResultRow) -> float | None:
+    """`own_time` where all that is computed from the scene's cloud was computed in the run; None elsewhere [s]."""
+    return own_time(row) if row.scene_new else None
+
+
 def _planning_and_execution(row: ResultRow) -> float | None:
     if row.t_total_s is None or row.execution_time_s is None:
         return None
@@ -68,6 +81,8 @@ def _planning_and_execution(row: ResultRow) -> float | None:
 VALUES: Mapping[str, Value] = {  # of a row, by name
     "time": attrgetter("t_total_s"),
     "own_time": own_time,
+    "known_time": known_time,
+    "new_time": new_time,
     "goals_time": attrgetter("t_goals_s"),
     "network_time": network_time,
     "search_time": attrgetter("t_plan_s"),
@@ -83,6 +98,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name
     "projections": attrgetter("n_projections"),
     "newton_iterations": attrgetter("n_newton_iterations"),
     "state_checks": attrgetter("n_state_checks"),
+    "clearances": attrgetter("n_clearances"),
     "vertices": attrgetter("vertices"),
     "path_length": attrgetter("path_length_rad"),
     "raw_length": attrgetter("path_length_raw_rad"),
@@ -146,19 +162,42 @@ def paired_ratio(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> Interval:
-    """Geometric mean of value against the baseline's, over problems that both solved, with a bootstrap interval.
+    """Geometric mean of value against the baseline's, over `paired_values`, with a bootstrap interval."""
+    return geometric_mean_interval([found.ratio for found in paired_values(rows, baseline, value, pair)])
 
-    Runs are paired by problem and seed, or by what `pair` says of both; logarithms of a problem's seeds are averaged
-    first. Values that are not positive have no ratio and are left out.
+
+class Pair(NamedTuple):
+    """A problem that two planners solved: the mean of a value over seeds, of each, and the geometric mean ratio."""
+
+    problem: str
+    own: float
+    other: float
+    ratio: float
+
+
+def pair_of(problem: str, values: Sequence[tuple[float, float]]) -> Pair:
+    """The pair of a problem's seeds, or codes: positive values of the one and the other."""
+    own, other = (fmean(column) for column in zip(*values, strict=True))
+    return Pair(problem, own, other, math.exp(fmean(math.log(a / b) for a, b in values)))
+
+
+def paired_values(
+    rows: Iterable[ResultRow],
+    baseline: Iterable[ResultRow],
+    value: Value,
+    pair: Callable[[ResultRow], Hashable] = problem_key,
+) -> list[Pair]:
+    """Problems that both solved. Runs are paired by problem and seed, or by what `pair` says of both.
+
+    Values that are not positive have no ratio and are left out.
     """
     reference = {pair(row): value(row) for row in baseline if row.solved}
-    logs: dict[str, list[float]] = {}
+    found: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         own, other = value(row) if row.solved else None, reference.get(pair(row))
         if own and other and min(own, other) > 0.0:
-            logs.setdefault(row.problem, []).append(math.log(own / other))
-    ratios = [math.exp(math.fsum(values) / len(values)) for values in logs.values()]
-    return geometric_mean_interval(ratios)
+            found.setdefault(row.problem, []).append((own, other))
+    return [pair_of(problem, values) for problem, values in found.items()]
 
 
 # ---------------------------------------------------------------- easy and hard problems

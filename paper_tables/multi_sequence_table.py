@@ -8,10 +8,8 @@ from dataclasses import replace
 
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 from paper_tables import table_engine as table
-from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import Measure, mean_of, median_of, share_of, solved
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.statements import ABOUT_MULTI_SEQUENCE
 from paper_tables.table_engine import BriefColumn, Column
 from paper_tables.writers import Lines, number
 
@@ -126,9 +124,9 @@ NOTES = (
 
 
 def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
-    """Table II for both sets of phases, statements, the breakdown by phase, fallbacks, failures and notes.
+    """Table II for both sets of phases, the breakdown by phase, fallbacks, failures and notes.
 
-    Planners that were not run are left out, and statements about them. InvalidInputError for rows that are no phases.
+    Planners that were not run are left out. InvalidInputError for rows that are no phases.
     """
     runs = table.suite_runs(rows, published)
     names = [split_problem(row.problem) for row in runs.rows]
@@ -144,10 +142,8 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
         in_csv += [tasks[-1], *parts]
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
     size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
-    said = judged(ABOUT_MULTI_SEQUENCE, task_rows(runs.rows, PAPER_PHASES), published)
     sections = {
         **{f"{size}, {text}": _time_lines(tasks, part) for part, text in PARTS.items()},
-        "What the paper says": statement_lines(said),
         "By phase (medians over the runs that reached it)": table.group_lines(by_phase, ["phase"], "n"),
         "Fallbacks": table.count_lines(tasks, "fallbacks"),
         "Failures": table.count_lines(tasks, "failures"),

@@ -5,7 +5,6 @@ from functools import partial
 
 from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow
 from paper_tables import table_engine as table
-from paper_tables.judging import judged, statement_lines
 from paper_tables.measures import (
     PROJECTION_COST,
     RATIOS,
@@ -20,9 +19,8 @@ from paper_tables.measures import (
     solved,
 )
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.statements import ABOUT_PLACE_TASK, ABOUT_SENSOR
-from paper_tables.table_engine import BriefColumn, Column
-from paper_tables.writers import Lines, Sections
+from paper_tables.table_engine import Column
+from paper_tables.writers import Lines, Sections, number, text_lines
 
 BASELINE = "ompl-projected"
 CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # [s]
@@ -57,6 +55,10 @@ EFFORT = {
     "projections_median": Column("projections", "1", median_of("projections")),
     "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
     "state_checks_median": Column("state checks", "1", median_of("state_checks")),
+    "work_median": Column("work", "1", median_of("work")),
+    "clearances_median": Column("approximate checks", "1", median_of("clearances")),
+    "known_time_median": Column("time, scene known [s]", "s", median_of("known_time")),
+    "new_time_median": Column("time, scene new [s]", "s", median_of("new_time")),
     "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
     "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
 }
@@ -87,11 +89,12 @@ HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our c
         for metric in ("time", "vertices", "path_length")
     },
 }
-BRIEF = (
-    BriefColumn("solved [%]", "accuracy", "accuracy"),
-    BriefColumn("time [s]", "time", "time_median", "our median", interval=True),
-    BriefColumn("length [rad]", "path_length", "path_length_median", "our median"),
-)
+FIRST = {  # titles of the first table, and columns
+    "solved [%]": "accuracy",
+    "time [s]": "time_median",
+    "work": "work_median",
+    "length [rad]": "path_length_median",
+}
 METHOD_NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
     "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a failure.",
@@ -100,10 +103,13 @@ METHOD_NOTES = (
     "means, leaves failures out (bootstrap interval).",
     "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint space; "
     "raw length: before simplification; both over the jointly solved runs.",
-    "Projections, Newton iterations, state checks: medians over all runs with failures counted as infinite.",
+    "Projections, Newton iterations, state checks: medians over all runs with failures counted as infinite; work is "
+    "projections and state checks. Approximate checks, no part of it: states whose clearance was read from a distance "
+    "field. Time, scene known: without goal inverse kinematics and without encoding the scene's cloud; scene new: with "
+    "encoding it, where rows are of runs that did. A dash: rows from before this was counted.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap interval.",
     "By fallback: runs whose path did not come the way the planner's name promises; they count as its own.",
-    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, itself and obstacles), "
+    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, see bench paper-check), "
     f"{1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower bound), networks as measured "
     "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
     "Easy and hard: hard are runs of problems in the top third by the work (projections + state checks) of "
@@ -119,43 +125,40 @@ SENSED: Mapping[str, Column] = {  # only of scanned scenes
     "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
     "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
 }
-SENSED_BRIEF = (
-    *(column._replace(interval=False) for column in BRIEF),
-    BriefColumn("true [%]", "free_in_truth", "free_in_truth"),
-)
 SENSED_NOTES = (
     "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second certificate, in the "
     "scene that was scanned, Wilson interval over the paths certified in the map.",
     "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, outliers, and the rest. "
     "Images to certificate: everything until the path is certified in the map, everything counted. Medians.",
     "The paper's scenes, starts and goals are not published: its numbers are of other problems, on a real robot.",
-    "Statements compare over problems that both solved, geometric mean; a positive number is less of it.",
 )
 
 
 def place_task_table(
     rows: Iterable[ResultRow], published: Sequence[PublishedValue], sensed: bool = False
 ) -> table.Rendered:
-    """Headlines, what the paper says of them, effort, comparisons, time curve, fallbacks, failures and notes.
+    """Headlines, effort, comparisons, time curve, fallbacks, failures and notes.
 
-    sensed: the scenes were scanned: map and truth come first, and the sentences are those on the paper's robot.
+    sensed: the scenes were scanned: map and truth come first.
     """
     runs = table.suite_runs(rows, published)
     rolled = {name for name, own in runs.groups.items() if any(_said(row, BY_ROLLOUTS) for row in own)}
     columns = {**COLUMNS, **(SENSED if sensed else {}), **(ROLLOUTS if rolled else {})}
     found = table.entries(runs, columns, published)
     rollouts = [item for item in found if item.planner in rolled]
-    said = statement_lines(judged(ABOUT_SENSOR if sensed else ABOUT_PLACE_TASK, runs.rows, published))
     curve = list(CURVE)[
         : sum(time < max(row.t_total_s or 0.0 for row in runs.rows) for time in CURVE_TIMES) + 1
     ]
     suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
     footnotes = list(_footnotes(runs))
+    first = _first_lines(found, {**FIRST, "true [%]": "free_in_truth"} if sensed else FIRST)
     sections: Sections = {
+        f"{problems} problems": first,
         "In the map and in truth": table.column_lines(found, SENSED) if sensed else [],
-        'The paper: "CVQ-MPT and Opt-CV-MPT outperform traditional planners"': said if sensed else [],
-        f"{problems} problems": _headline_lines(found, len(runs.joint)),
-        "What the paper says": said if published and not sensed else [],
+        **{
+            f"{COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": _paper_lines(found, metric)
+            for metric, ours in HEADLINES.items()
+        },
         "Effort (medians)": table.column_lines(found, EFFORT),
         "Solved by rollouts alone, no tree grown between their states": (
             table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
@@ -177,23 +180,33 @@ def place_task_table(
             caption + " ".join((*METHOD_NOTES[:4], *footnotes)), suite, found, HEADLINES
         ),
         csv=table.csv_of(suite, found),
-        brief=table.brief_lines(found, SENSED_BRIEF if sensed else BRIEF),
+        brief=[*text_lines(first), *table.fallback_lines(found)],
     )
 
 
-def _headline_lines(found: Sequence[table.Entry], n_joint: int) -> Lines:
-    """Two lines a planner, with medians and with means."""
-    header = ["planner", "runs"]
-    lines = [header, *([e.title, str(e.n_runs)] if k == 0 else ["– mean", ""] for e in found for k in (0, 1))]
-    for metric, names in HEADLINES.items():
-        typical, *mean = names.values()
-        column = COLUMNS[typical]
-        unit = "" if column.unit == "1" else f" [{column.unit}]"
-        header += [f"{column.label}{unit}: paper", "ours" + f" (n={n_joint})" * (metric == "path_length")]
-        for first, second, item in zip(lines[1::2], lines[2::2], found, strict=True):
-            first += [item.paper_cell(metric), item.cell(typical)]
-            second += ["", *(map(item.cell, mean) if mean else [""])]
-    return lines
+def _first_lines(found: Sequence[table.Entry], columns: Mapping[str, str]) -> Lines:
+    """What a reader looks for first: estimates, and the work against the same search with uniform samples."""
+    ratio = split_metric("work_ratio", "all")
+    return [
+        ["planner", *columns, f"work / {REFERENCE}"],
+        *(
+            [
+                item.planner,
+                *(number(item.measured[name].estimate) for name in columns.values()),
+                "–" if item.planner == REFERENCE else item.cell(ratio),
+            ]
+            for item in found
+        ),
+    ]
+
+
+def _paper_lines(found: Sequence[table.Entry], metric: str) -> Lines:
+    """The paper's number of a metric, ours as medians over all runs and, since the paper gives means, as means."""
+    ours = HEADLINES[metric]
+    return [
+        ["planner", "paper", *ours],
+        *([item.title, item.paper_cell(metric), *map(item.cell, ours.values())] for item in found),
+    ]
 
 
 def _split_lines(found: Sequence[table.Entry], runs: SuiteRuns) -> Lines:

@@ -252,8 +252,13 @@ def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[
             interval = item.measured[column.ours]
             ours = estimate(interval) if column.interval else number(interval.estimate)
             lines[-1] += [item.paper_cell(column.published), ours][-shown:]
+    return [*text_lines(lines), *fallback_lines(found)]
+
+
+def fallback_lines(found: Iterable[Entry]) -> list[str]:
+    """A line about fallbacks, if any."""
     fallen_back = ", ".join(f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back)
-    return text_lines(lines) + ([f"by fallback: {fallen_back}"] if fallen_back else [])
+    return [f"by fallback: {fallen_back}"] if fallen_back else []
 
 
 def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:

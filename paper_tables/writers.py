@@ -9,6 +9,7 @@ from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
 _LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
+PAGE_WIDTH = 100  # characters of a line of Markdown
 MOST_COLUMNS = 5  # of numbers side by side on a page of LaTeX
 
 Lines = Sequence[Sequence[str]]  # a table as lines of cells, the header first
@@ -85,7 +86,25 @@ def markdown(sections: Sections) -> str:
 
 def _section(part: Lines | Sequence[str]) -> str:
     lines = [line for line in part if not isinstance(line, str)]
-    return markdown_table(lines) if lines else "".join(f"- {text}\n" for text in part)
+    return "\n".join(map(markdown_table, narrow(lines))) if lines else "".join(f"- {text}\n" for text in part)
+
+
+def narrow(lines: Lines) -> list[Lines]:
+    """A table as several of at most PAGE_WIDTH characters, each with the labels; as it is where cells are sentences.
+
+    Labels are the first column and all up to the one titled "planner".
+    """
+    labels = lines[0].index("planner") + 1 if "planner" in lines[0] else 1
+    widths = [max(3, *(len(line[k]) for line in lines)) + 3 for k in range(len(lines[0]))]
+    if sum(widths[:labels]) + max(widths[labels:], default=0) >= PAGE_WIDTH:
+        return [lines]
+    parts: list[list[int]] = [[]]
+    for k in range(labels, len(widths)):
+        taken = 1 + sum(widths[:labels]) + sum(widths[j] for j in parts[-1])
+        if parts[-1] and taken + widths[k] > PAGE_WIDTH:
+            parts.append([])
+        parts[-1].append(k)
+    return [[[*line[:labels], *(line[k] for k in part)] for line in lines] for part in parts]
 
 
 def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:

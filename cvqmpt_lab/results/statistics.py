@@ -5,7 +5,7 @@ something is undefined (no data) an `Interval` holds None, never 0.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -106,6 +106,22 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
     logs = mean_of_solved(np.log(array))
     middle, low, high = (None if x is None else math.exp(x) for x in logs[:3])
     return Interval(middle, low, high, logs.n)
+
+
+def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
+    """Mean of the first numbers over mean of the second ones, with a percentile-bootstrap interval over the pairs."""
+    n = len(pairs)
+    if n == 0:
+        return UNDEFINED
+    array = _checked(np.ravel(pairs)).reshape(n, 2)
+    if n == 1:
+        return Interval(float(array[0, 0] / array[0, 1]), None, None, 1)
+    samples = np.random.default_rng(0).integers(n, size=(BOOTSTRAP_SAMPLES, n))
+    sums = array[samples].sum(axis=1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(sums[:, 0] / sums[:, 1], [tail, 1 - tail])
+    ratio = array[:, 0].sum() / array[:, 1].sum()
+    return Interval(float(ratio), float(low), float(high), n)
 
 
 def problem_key(row: ResultRow) -> ProblemKey:

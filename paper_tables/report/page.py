@@ -13,6 +13,7 @@ from cvqmpt_lab.results.provenance import digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 from paper_tables.claims import Evidence, banner, evidence_below, judged_claims, read_evidence
 from paper_tables.claims_page import TERMS, summary_lines, wall_clock
+from paper_tables.judging import Ruling
 from paper_tables.measures import REFERENCE, VALUES, Rows, work
 from paper_tables.paper_numbers import read_published
 from paper_tables.report import plots
@@ -21,7 +22,7 @@ from paper_tables.table_engine import by_planner
 from paper_tables.writers import Sections
 
 TEMPLATE = "page.html.j2"
-STYLES = {"holds": "holds", "holds in part": "part", "does not hold here": "not"}  # of verdicts
+STYLES = {Ruling.HOLDS: "holds", Ruling.TOO_FEW: "part", Ruling.FAILS: "not"}  # of verdicts
 PICTURES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
 SHOWN_FACTS = (  # of a session
     *("command", "git_commit", "git_dirty", "date_utc", "cpu_model", "cpu_count", "platform", "python"),
@@ -47,7 +48,7 @@ def report_html(
 
     report: is called with how many of them are done. paths: by the name of the directory that each is of.
     """
-    claims = [item for item in judged_claims(found) if item.verdicts or not item.claim.statements]
+    claims = [item for item in judged_claims(found) if item.verdicts]
     sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
@@ -60,7 +61,7 @@ def report_html(
     return environment.get_template(TEMPLATE).render(
         title="CVQ-MPT, reproduced",
         banner=banner(found),
-        claims=summary_lines(claims) if any(item.verdicts for item in claims) else [],
+        claims=summary_lines(claims) if claims else [],
         styles=STYLES,
         terms=TERMS,
         sections=sections,

@@ -7,41 +7,65 @@ from made_rows import a_results_folder
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
-from cvqmpt_lab.results.statistics import Interval
 from paper_tables.claims import evidence_below, judged_claims
-from paper_tables.claims_page import committed_pages, page_text, stale_pages, with_summary
-from paper_tables.judging import Ruling, ruling
+from paper_tables.claims_page import (
+    VERDICTS,
+    committed_pages,
+    decomposition_lines,
+    page_text,
+    stale_pages,
+    with_part,
+)
+from paper_tables.judging import Ruling
 from paper_tables.report.page import evidence_of, report_html
 
-FASTER, SHORTER, SOLVES, PLANNING, *_, COMPLETE = range(9)
+
+def by_title(results):
+    return {item.claim.title: item for item in judged_claims(evidence_below(results))}
 
 
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
     assert stale_pages(committed_pages()) == []
 
 
-@pytest.mark.parametrize(("uniform", "verdict"), [(3.0, "holds"), (1.0, "holds in part"), (None, "holds")])
-def test_a_claim_holds_where_all_its_statements_stand(tmp_path, uniform, verdict):
-    results = a_results_folder(tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, ompl_projected=3.0, birrt=uniform)
-    if uniform is None:  # nothing that both solved: not judged, so it does not stand
-        verdict = "holds in part"
-    assert judged_claims(evidence_below(results))[FASTER].verdict == verdict
+@pytest.mark.parametrize(
+    ("ompl", "mpnet", "expected"),
+    [
+        (3.0, 3.0, Ruling.HOLDS),
+        (3.0, 1.0, Ruling.FAILS),
+        (1.0, 3.0, Ruling.FAILS),
+        (3.0, None, Ruling.TOO_FEW),
+    ],
+)
+def test_a_claim_holds_against_all_planners_that_the_paper_names(tmp_path, ompl, mpnet, expected):
+    """A third of the time of both; of one alone; and nothing that both solved."""
+    results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=ompl, mpnet=mpnet, birrt=0.1)
+    found = by_title(results)["twice as fast"]
+    assert found.ruling is expected
+    assert "birrt" not in {verdict.effect.baseline for verdict in found.verdicts}
+    decided = {3.0: "ompl-projected", 1.0: "mpnet", None: "mpnet"}[mpnet] if ompl == 3.0 else "ompl-projected"
+    assert found.deciding.effect.baseline == decided
 
 
-def test_a_claim_does_not_hold_where_none_stands_and_is_not_judged_without_rows(tmp_path):
-    results = a_results_folder(tmp_path, cvq_mpt=3.0, opt_cvq_mpt=None, ompl_projected=1.0, birrt=1.0)
-    claims = judged_claims(evidence_below(results))
-    assert claims[FASTER].verdict == claims[SHORTER].verdict == "does not hold here"
-    assert claims[SOLVES].verdict == "holds in part"  # one planner of two
-    assert claims[PLANNING].verdict == "no rows yet" and claims[COMPLETE].verdict == "cannot be tested here"
+def test_claims_without_rows_say_so_and_what_cannot_be_compared_too(tmp_path):
+    found = by_title(a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0))
+    assert found["tasks: plans −45 %"].ruling is found["lower G of codes"].ruling is Ruling.NO_ROWS
+    assert found["fewer vertices"].ruling is found["complete"].ruling is Ruling.INCOMPARABLE
+    assert found["paths 35 % shorter"].ruling is Ruling.FAILS, "all paths are 6 rad"
 
 
-def test_wide_intervals_are_too_few_runs_and_the_profile_is_named(tmp_path):
-    """Nine runs, 17.6 to 50.7 % shorter, made "35 to 40 % shorter" hold."""
-    assert ruling(Interval(0.36, 0.176, 0.507, 9), 0.35) is Ruling.TOO_FEW
-    assert ruling(Interval(0.36, 0.30, 0.42, 300), 0.35) is Ruling.COMPATIBLE
-    assert ruling(Interval(0.5, 0.4, 0.7, 9), 0.35) is Ruling.CONFIRMED and not Ruling.TOO_FEW.holds
-    assert ruling(Interval(0.0, -0.3, 0.3, 9), 0.35) is Ruling.TOO_FEW
+def test_every_step_is_against_the_one_before(tmp_path):
+    """In time 3, 1, 4; work goes with it in these rows."""
+    results = a_results_folder(tmp_path, ompl_projected=3.0, birrt=1.0, cvq_mpt=4.0)
+    lines = decomposition_lines(evidence_below(results)["place-task"])
+    assert [line[:4] for line in lines[1:]] == [
+        ["our search", "birrt", "ompl-projected", "−66.7 [−66.7, −66.7]"],
+        ["+ transformer", "cvq-mpt", "birrt", "+300 [300, 300]"],
+    ]
+    assert lines[1][5] == "0 [0, 0]", "paths are as long"
+
+
+def test_a_small_profile_is_named(tmp_path):
     results = a_results_folder(tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, birrt=3.0)
     path = next(results.glob(f"*/{PROVENANCE_FILE}"))
     record = json.loads(path.read_text())
@@ -55,4 +79,4 @@ def test_wide_intervals_are_too_few_runs_and_the_profile_is_named(tmp_path):
 
 def test_a_readme_without_the_marks_of_the_summary_is_refused():
     with pytest.raises(InvalidInputError, match="put them where"):
-        with_summary("a README without the marks of the summary", "")
+        with_part("a README without the marks of the summary", VERDICTS, "")

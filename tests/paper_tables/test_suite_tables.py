@@ -19,11 +19,6 @@ def ours_in(table):
     return {(line["metric"], line["planner"]): float(line["value"] or "nan") for line in lines}
 
 
-def said(table, title="What the paper says"):
-    """Verdicts by statement and baseline."""
-    return {(line[0], line[1]): line for line in table.sections[title][1:]}
-
-
 def phases(planner, task, planning, execution, solved=True, **values):
     """Rows of one task whose times are known."""
     rows = []
@@ -35,7 +30,7 @@ def phases(planner, task, planning, execution, solved=True, **values):
     return rows
 
 
-def test_times_of_tasks_sum_the_papers_phases_and_its_statements_are_judged():
+def test_times_of_tasks_sum_the_papers_phases():
     rows = phases("ompl-projected", 7, 1.0, 10.0, solved=False)
     for task in range(6):
         rows += phases("opt-cvq-mpt", task, 0.5, 9.0)
@@ -47,11 +42,6 @@ def test_times_of_tasks_sum_the_papers_phases_and_its_statements_are_judged():
     assert ours["solved", "ompl-projected"] == pytest.approx(600 / 7)
     assert ours["solved_in_carry", "ompl-projected"] == 100.0, "of the six that reached it"
     assert table.sections["Failures"][1:] == [["ompl-projected", "reach-handle: timeout", "–", "1 of 7"]]
-    faster = said(table)["opt-cvq-mpt reduces planning time by 45 %", "ompl-projected"]
-    assert faster[2] == "44.3" and faster[3].startswith("51.") and faster[4:] == ["6", "confirmed"]
-    shorter = said(table)["opt-cvq-mpt reduces execution time by 18 %", "ompl-projected"]
-    assert shorter[-1] == "less than stated"
-    assert len(said(table)) == 2, "nothing about planners that did not run"
     assert "| 19.71" in table.markdown and r"\toprule" in table.latex and max(map(len, table.brief)) <= 100
 
 

@@ -1,0 +1,162 @@
+"""Rules of verdicts, on made rows whose verdict is known by hand."""
+
+import math
+
+import pytest
+from made_rows import a_failure, a_row
+
+from cvqmpt_lab.results.statistics import Interval, ratio_of_means_interval
+from paper_tables.judging import (
+    NOTHING,
+    Effect,
+    Ruling,
+    cutoff_of,
+    effects_of,
+    overall,
+    percent,
+    reduction,
+    rulings,
+    score_test,
+    t_test,
+)
+from paper_tables.measures import Pair, pair_of, paired_values, work
+from paper_tables.statements import CLAIMS, Statement
+
+HALF = Statement("time", 0.5, ("ompl-projected",))
+SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
+
+
+def pairs(ratio, others=(1.0,) * 10):
+    """Ten problems of equal weight whose ratios lie around one number."""
+    return [
+        Pair(str(k), ratio * s * other, other, ratio * s)
+        for k, (s, other) in enumerate(zip(SPREAD, others, strict=True))
+    ]
+
+
+def with_p(p, above=True, statement=HALF):
+    nothing = Interval(None, None, None, 0)
+    return Effect(statement, "x", None, nothing, nothing, p, above)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected"),
+    [
+        (0.3, Ruling.HOLDS),
+        (0.5, Ruling.HOLDS),
+        (0.55, Ruling.TOO_FEW),
+        (0.7, Ruling.FAILS),
+        (1.4, Ruling.FAILS),
+    ],
+)
+def test_a_stated_half_is_tested_at_nine_tenths_of_itself(ratio, expected):
+    """45 % less is a ratio of 0.55: below it holds, above it does not, at it nobody can tell."""
+    effect = reduction(HALF, "ompl-projected", pairs(ratio))
+    assert rulings([effect]) == [expected]
+    assert effect.paired.estimate == pytest.approx(1.0 - ratio, abs=0.01)
+    assert effect.means.estimate == pytest.approx(1.0 - ratio, abs=0.01)
+
+
+def test_two_problems_are_too_few_and_so_is_a_wide_spread():
+    few = reduction(HALF, "ompl-projected", pairs(0.1)[:2])
+    assert few.p is None and rulings([few]) == [Ruling.TOO_FEW] and few.note == "2 problems"
+    wide = [Pair(str(k), ratio, 1.0, ratio) for k, ratio in enumerate((0.05, 3.0, 0.2, 1.5))]
+    assert rulings([reduction(HALF, "ompl-projected", wide)]) == [Ruling.TOO_FEW]
+
+
+def test_where_the_statistics_disagree_it_says_what_decides():
+    """Nine problems take a third, one that is a thousand times as long takes as long: so does the mean."""
+    others = [1.0] * 9 + [1000.0]
+    found = [
+        Pair(str(k), other * 0.3 * s, other, 0.3 * s)
+        for k, (other, s) in enumerate(zip(others[:9], SPREAD, strict=False))
+    ]
+    found.append(Pair("long", 1000.0, 1000.0, 1.0))
+    effect = reduction(HALF, "ompl-projected", found)
+    assert effect.paired.estimate > 0.5 and effect.means.estimate < 0.1
+    assert effect.p == 1.0 and rulings([effect]) == [Ruling.TOO_FEW]
+    assert "paired: holds, means: too few runs to tell" in effect.note
+    assert effect.note.endswith("problem long alone is 100 % of the mean of opt-cvq-mpt")
+
+
+def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above():
+    """0.01 <= 0.05 / 3 and 0.02 <= 0.05 / 2, but 0.06 > 0.05; without the first, 0.03 > 0.05 / 2 stops all."""
+    assert rulings([with_p(0.06), with_p(0.01), with_p(0.02, above=False)]) == [
+        Ruling.TOO_FEW,
+        Ruling.HOLDS,
+        Ruling.FAILS,
+    ]
+    assert rulings([with_p(0.03), with_p(0.04)]) == [Ruling.TOO_FEW] * 2
+    assert rulings([with_p(0.05)]) == [Ruling.HOLDS], "the level itself is significant"
+    other = Statement("vertices", 0.0, ("x",), incomparable="counted otherwise")
+    assert rulings([with_p(None, statement=other), with_p(0.04)]) == [Ruling.INCOMPARABLE, Ruling.HOLDS]
+
+
+def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
+    H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
+    cases = {(H, H): H, (H, T): T, (H, F): F, (T, F): F, (N, N): N, (H, N): N, (): Ruling.NO_ROWS}
+    assert {said: overall(said) for said in cases} == cases
+
+
+def test_tests_against_values_by_hand():
+    """Student: mean 2, sd 1, n 3, t = 2 sqrt(3) with 2 degrees: p = 0.0742. Score: 60 of 100 against 1/2, z = 2."""
+    assert t_test([1.0, 2.0, 3.0]) == pytest.approx(0.0742, abs=1e-4)
+    assert (t_test([2.0, 2.0]), t_test([0.0, 0.0]), t_test([5.0])) == (0.0, 1.0, 1.0)
+    assert score_test(Interval(0.6, None, None, 100), 0.5) == pytest.approx(0.0455, abs=1e-4)
+
+
+def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
+    assert ratio_of_means_interval([(1.0, 1.0), (3.0, 1.0)])[:1] == (2.0,)
+    assert ratio_of_means_interval([(1.0, 2.0)] * 5)[:3] == (0.5, 0.5, 0.5)
+    assert ratio_of_means_interval([]).n == 0 and ratio_of_means_interval([(1.0, 4.0)])[:2] == (0.25, None)
+    assert pair_of("p", [(1.0, 1.0), (4.0, 1.0)]) == Pair("p", 2.5, 1.0, pytest.approx(2.0))
+    made = [
+        (planner, seed, value)
+        for planner, values in {"a": (10, 30), "b": (5, 5)}.items()
+        for seed, value in enumerate(values)
+    ]
+    rows = {
+        name: [a_row("p", name, seed=s, n_projections=v, n_state_checks=0) for p, s, v in made if p == name]
+        for name in "ab"
+    }
+    failed = a_failure("q", "b", n_projections=1, n_state_checks=1)
+    (pair,) = paired_values(
+        [*rows["a"], a_row("q", "a", n_projections=1, n_state_checks=1)], [*rows["b"], failed], work
+    )
+    assert (pair.own, pair.other) == (20.0, 5.0) and pair.ratio == pytest.approx(math.sqrt(12.0))
+
+
+def at(planner, k, time, **values):
+    make, time = (a_failure, 10.0) if time is None else (a_row, time)
+    return make(f"p{k}", planner, suite="place-task", t_total_s=time, **values)
+
+
+def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_much():
+    rows = [at("ompl-projected", k, 0.1 * (k + 1) if k < 9 else None) for k in range(10)]
+    assert cutoff_of(rows, 0.8).seconds == pytest.approx(0.8)
+    assert cutoff_of(rows, 0.9).seconds == pytest.approx(0.9)
+    assert math.isinf(cutoff_of(rows, 0.95).seconds), "one of ten is never solved"
+
+
+@pytest.mark.parametrize(
+    ("solved", "expected"), [(100, Ruling.HOLDS), (88, Ruling.TOO_FEW), (60, Ruling.FAILS)]
+)
+def test_an_at_least_test_of_a_share(solved, expected):
+    """98.42 % is tested at 88.6 %: 100 of 100 is more, 60 less, 88 neither."""
+    rows = [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(100)]
+    (effect,) = effects_of(Statement("solved_in_time", 0.9842), rows, ())
+    assert rulings([effect]) == [expected] and effect.baseline == NOTHING
+    assert percent(effect, effect.paired).startswith(str(solved))
+
+
+def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
+    rows = [at(name, k, t) for k in range(8) for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))]
+    found = effects_of(Statement("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
+    assert [effect.baseline for effect in found] == ["ompl-projected"], "mpnet did not run"
+    assert percent(found[0], found[0].paired) == "−75 [−75, −75]"
+    assert effects_of(Statement("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
+
+
+def test_statements_are_few():
+    assert sum(max(1, len(said.baselines)) for claim in CLAIMS for said in claim.statements) <= 36
+    assert len({claim.title for claim in CLAIMS}) == len(CLAIMS)
