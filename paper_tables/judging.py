@@ -227,9 +227,9 @@ def percent(effect: Effect, interval: Interval) -> str:
         return NOTHING
     sign = 1.0 if effect.baseline == NOTHING else -1.0
     bounds = sorted(sign * 100.0 * x for x in (interval.low, interval.high) if x is not None)
-    inside = f" [{', '.join(f'{x:.0f}' for x in bounds)}]" if bounds else ""
+    inside = f" [{', '.join(f'{round(x)}' for x in bounds)}]" if bounds else ""
     signed = "" if effect.baseline == NOTHING else "+"
-    return f"{sign * 100.0 * interval.estimate:{signed}.0f}{inside}".replace("-", "−")
+    return f"{round(sign * 100.0 * interval.estimate):{signed}d}{inside}".replace("-", "−")
 
 
 def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
@@ -237,7 +237,7 @@ def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
     lines = [["planner", "against", "paper [%]", "paired [%]", "means [%]", "n", "p", "verdict"]]
     for effect, ruled in verdicts:
         sign = 100.0 if effect.baseline == NOTHING else -100.0
-        paper = NOTHING if effect.paper is None else f"{sign * effect.paper:.0f}".replace("-", "−")
+        paper = NOTHING if effect.paper is None else f"{round(sign * effect.paper)}".replace("-", "−")
         p = NOTHING if effect.p is None else "<0.001" if effect.p < 0.001 else f"{effect.p:.3f}"
         numbers = (percent(effect, effect.paired), percent(effect, effect.means))
         lines.append(
