@@ -16,7 +16,7 @@ from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
-from cvqmpt_lab.search.anytime import Improvement, check_units, improve
+from cvqmpt_lab.search.anytime import Improvement, Restarts, check_units, improve
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
 from cvqmpt_lab.search.query import Observation, Query, SamplingDistribution, search
@@ -83,7 +83,7 @@ def solve(
     Calls from several threads run one after the other: OMPL's random numbers, clouds and costs of edges that are
     remembered, and the number of BLAS threads belong to the process. Several processes plan at the same time.
 
-    optimize: spent after the first path on restarts and shortening; the result is never longer than that path.
+    optimize: spent after the first path on other ways and shortening; the result is never longer than that path.
     use_cache: False charges the planner for whatever it computes from the cloud, although it may remember the scene.
     near_goals_first: where hinges turn more than once, the nearest goals are tried alone first: others are turns away.
     Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a
@@ -140,9 +140,8 @@ def solve(
     if optimize is None or plan.as_is:
         return found
     rng = problem.random_stream(seed, 1)
-    best, improvement = improve(
-        space, tree_search, proposal.distribution, shorter.path, optimize, rng, simplification
-    )
+    ways = stages.ways or Restarts(tree_search, proposal.distribution)
+    best, improvement = improve(space, ways, shorter.path, optimize, rng, simplification)
     return _with_better(found, best, improvement, clearance)
 
 

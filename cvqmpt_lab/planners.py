@@ -14,9 +14,12 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external.found import PEERS, external_names, find_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
+from cvqmpt_lab.search.informed_roadmap import InformedRoadmaps
 from cvqmpt_lab.search.query import Stages
-from cvqmpt_lab.search.roadmap import RoadmapPath, no_costs, other_costs
+from cvqmpt_lab.search.roadmap import RoadmapPath, no_costs, other_costs, scene_costs
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.sampler_choice import NAMED, PREFIX, SamplerChoice
 
@@ -108,9 +111,14 @@ def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) 
 
 
 def _roadmap(
-    name: str, weights: str | None = None, sequence: str = HALTON, draw: int = 0, **search: Any
+    name: str,
+    weights: str | None = None,
+    sequence: str = HALTON,
+    draw: int = 0,
+    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
+    oracle: bool = False,
 ) -> Method:
-    """A roadmap of a dictionary's nodes where there are weights, else of spread ones; search: of `RoadmapPath`."""
+    """A roadmap of a dictionary's nodes where there are weights, else of spread ones; costs, oracle: of its edges."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
         robot, load = problem.robot, problem.attachments
@@ -122,7 +130,9 @@ def _roadmap(
             from cvqmpt_lab.vqmpt.stages import free_dictionary  # reads weights
 
             roadmap = free_dictionary(model, robot, load)
-        return Stages(predict=RoadmapPath(roadmap, name, **search))
+        return Stages(
+            predict=RoadmapPath(roadmap, name, costs=costs, oracle=oracle), ways=InformedRoadmaps(costs=costs)
+        )
 
     return Method(name, build, weights)
 

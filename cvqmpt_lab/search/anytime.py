@@ -1,7 +1,8 @@
-"""Shorter paths by restarts: time left after a first path (`improve`), and near-shortest labels of training data.
+"""Shorter paths: time left after a first path (`improve`), restarts for it, and near-shortest labels of training data.
 
 Of length c, a path can only pass through configurations x with |x - start| + |x - goal| < c, a prolate hyperspheroid
-(Gammell, Srinivasa and Barfoot 2014); restarts sample there, and what they find is shortened.
+(Gammell, Srinivasa and Barfoot 2014); restarts sample there, and what they find is shortened. Planners with a roadmap
+look for other ways by small roadmaps instead (`informed_roadmap`).
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Deadline, SamplingDistribution, Search, Uniform
+from cvqmpt_lab.search.query import Deadline, SamplingDistribution, Search, Uniform, Ways
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import SWEEP, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -51,30 +52,25 @@ def check_units(budget: Budget, optimize: Budget) -> None:
 
 def improve(
     space: ConstrainedSpace,
-    method: Search,
-    distribution: SamplingDistribution,
+    ways: Ways,
     first: JointPath,
     budget: Budget,
     rng: np.random.Generator,
     settings: SimplifySettings | None = None,
 ) -> tuple[JointPath, Improvement]:
-    """The best path that restarts and shortening find within a budget, never longer than the first; and what it took.
+    """The best path that other ways and shortening find within a budget, never longer than the first; what it took.
 
-    Every other search looks for short ways near straight lines to the goals, which coarse samples miss.
-    distribution: of the first search. first: its path, on the manifold, free and shortened.
+    first: a path on the manifold, free and shortened.
     """
     deadline = Deadline(budget, space)
+    nearest = max(float(np.linalg.norm(space.problem.goals - space.problem.start, axis=1).min()), LEAST)
     best, lengths, searches, fresh = first, [(0.0, first.length)], 0, True
     while deadline.spent() is None:
         found: JointPath | None = best
         if not fresh:
-            attempt = _attempt(space, distribution, searches, best.length)
-            if attempt is None:
+            if nearest >= best.length:
                 break  # the path is straight
-            goals, samples, most = attempt
-            rest = deadline.rest()
-            bounded = replace(rest, iterations=min(most, rest.iterations or most))
-            found = method.search(space, space.problem.start, goals, samples, bounded, rng).path
+            found = ways.next_path(space, best, deadline, rng, searches)
             searches += 1
         deadline.count()  # so that a round without iterations ends, too
         if found is None:
@@ -88,49 +84,81 @@ def improve(
     return best, Improvement(budget, deadline.seconds, deadline.counters.iterations, searches, tuple(lengths))
 
 
-def _attempt(
-    space: ConstrainedSpace, distribution: SamplingDistribution, number: int, length: float
-) -> tuple[np.ndarray, SamplingDistribution, int] | None:
-    """Goals (k, n), samples and iterations of a search for a path shorter than `length` [rad]; None: there is none."""
-    problem, robot = space.problem, space.robot
-    straight = np.maximum(np.linalg.norm(problem.goals - problem.start, axis=1), LEAST)
-    nearer = straight < length
-    if not nearer.any():
-        return None
-    if number % 2 == 0:
-        goals = problem.goals[nearer]
-        return goals, Detours(distribution, problem.start, goals, length), AMONG
-    reach = np.minimum(STRETCHES[number // 2 % len(STRETCHES)] * straight, length)
+@dataclass(frozen=True, eq=False)
+class Restarts:
+    """Other searches by the same method; every other one looks for short ways near straight lines to the goals."""
+
+    method: Search
+    distribution: SamplingDistribution  # of the first search
+
+    def next_path(
+        self,
+        space: ConstrainedSpace,
+        best: JointPath,
+        deadline: Deadline,
+        rng: np.random.Generator,
+        number: int,
+    ) -> JointPath | None:
+        """Search with new samples; see `query.Ways`."""
+        start, rest = space.problem.start, deadline.rest()
+        if number % 2 == 0:
+            goals = nearer_goals(space, best.length)
+            samples: SamplingDistribution = Detours(self.distribution, start, goals, best.length)
+            most = AMONG
+        else:
+            stretch = STRETCHES[number // 2 % len(STRETCHES)]
+            goals, samples = short_ways(space, best.length, stretch)
+            most = NARROW
+        bounded = replace(rest, iterations=min(most, rest.iterations or most))
+        return self.method.search(space, start, goals, samples, bounded, rng).path
+
+
+def nearer_goals(space: ConstrainedSpace, length: float) -> np.ndarray:
+    """Goals (k, n) that a path shorter than `length` [rad] may end at."""
+    goals = space.problem.goals
+    return goals[np.maximum(np.linalg.norm(goals - space.problem.start, axis=1), LEAST) < length]
+
+
+def short_ways(space: ConstrainedSpace, length: float, stretch: float) -> tuple[np.ndarray, "ShortWays"]:
+    """Goals (k, n) for paths shorter than `length` [rad], and samples near the straight lines to them.
+
+    stretch: what such a path is longer than straight, at most; goals that this rules nothing out for are left out.
+    """
+    start, goals = space.problem.start, nearer_goals(space, length)
+    reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)
     short = reach < length
-    goals, reach = (values[short if short.any() else nearer] for values in (problem.goals, reach))
-    ways = (
-        Spheroid(problem.start, goal, most, robot.lower, robot.upper)
-        for goal, most in zip(goals, reach.tolist(), strict=True)
-    )
-    return goals, ShortWays(tuple(ways)), NARROW
+    if short.any():
+        goals, reach = goals[short], reach[short]
+    return goals, ShortWays(start, goals, reach, space.robot.lower, space.robot.upper)
 
 
 @dataclass(frozen=True, eq=False)
-class Spheroid:
-    """Uniform over configurations on motions no longer than `length` from start to goal, clipped to the limits."""
+class ShortWays:
+    """Uniform over configurations on motions from start to a goal no longer than its reach, clipped to the limits.
 
-    start: np.ndarray
-    goal: np.ndarray
-    length: float
-    lower: np.ndarray
-    upper: np.ndarray
-    name: str = "spheroid"
+    Such configurations fill a prolate hyperspheroid with both as foci; each goal's is as likely as the others'.
+    """
+
+    start: np.ndarray  # (n,)
+    goals: np.ndarray  # (k, n)
+    reach: np.ndarray  # (k,) [rad]
+    lower: np.ndarray  # (n,)
+    upper: np.ndarray  # (n,)
+    name: str = "short-ways"
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n)."""
-        n, along = len(self.start), self.goal - self.start
-        straight = float(np.linalg.norm(along))
+        n, k = len(self.start), len(self.goals)
+        to = rng.integers(k, size=count) if k > 1 else np.zeros(count, dtype=int)
+        along = (self.goals - self.start)[to]
+        straight = np.sqrt((along**2).sum(axis=1, keepdims=True))
         ball = rng.normal(size=(count, n))
-        ball *= (rng.random((count, 1)) ** (1.0 / n)) / np.linalg.norm(ball, axis=1, keepdims=True)
-        across = 0.5 * np.sqrt(max(self.length**2 - straight**2, 0.0))
-        axis = along / max(straight, LEAST)
-        stretched = across * ball + np.outer((0.5 * self.length - across) * (ball @ axis), axis)
-        return np.clip(0.5 * (self.start + self.goal) + stretched, self.lower, self.upper)
+        ball *= rng.random((count, 1)) ** (1.0 / n) / np.sqrt((ball**2).sum(axis=1, keepdims=True))
+        length, axis = self.reach[to, None], along / np.maximum(straight, LEAST)
+        across = 0.5 * np.sqrt(np.maximum(length**2 - straight**2, 0.0))
+        onwards = (0.5 * length - across) * (ball * axis).sum(axis=1, keepdims=True)
+        middle = self.start + 0.5 * along
+        return np.clip(middle + across * ball + onwards * axis, self.lower, self.upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,20 +181,6 @@ class Detours:
         to_goal = np.linalg.norm(drawn[:, None] - self.goals, axis=2).min(axis=1)
         too_long = np.linalg.norm(drawn - self.start, axis=1) + to_goal > self.length
         return drawn[np.argsort(too_long, kind="stable")[:count]]
-
-
-@dataclass(frozen=True, eq=False)
-class ShortWays:
-    """Uniform in spheroids around straight lines, each as likely as the others."""
-
-    spheroids: tuple[Spheroid, ...]
-    name: str = "short-ways"
-
-    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw configurations (count, n)."""
-        counts = np.bincount(rng.integers(len(self.spheroids), size=count), minlength=len(self.spheroids))
-        parts = [one.sample(rng, k) for one, k in zip(self.spheroids, counts.tolist(), strict=True)]
-        return rng.permutation(np.concatenate(parts))
 
 
 @dataclass(frozen=True)
@@ -193,7 +207,9 @@ def near_shortest(
     tries = 0
     while tries < (settings.restarts + 1 if best else 2):
         tries += 1
-        sampler = Spheroid(start, goal, best.length, lower, upper) if best else Uniform(lower, upper)
+        sampler: SamplingDistribution = Uniform(lower, upper)
+        if best is not None:
+            sampler = ShortWays(start, goal[None], np.array([best.length]), lower, upper)
         budget = Budget(iterations=settings.later if best else settings.first)
         path = trees.search(space, start, goal[None], sampler, budget, rng).path
         if path is not None:

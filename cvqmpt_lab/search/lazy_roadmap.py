@@ -14,7 +14,14 @@ from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.edge_costs import EdgeCosts, edge_nll
-from cvqmpt_lab.search.motion import Space, bisect_motion, distance, project_state, state_valid
+from cvqmpt_lab.search.motion import (
+    Space,
+    bisect_motion,
+    distance,
+    posed_state_valid,
+    project_state,
+    state_valid,
+)
 
 
 @kernel(inline="machine")
@@ -60,6 +67,7 @@ class Roadmap(NamedTuple):
     """Verdicts on the edges from each row to each goal; BLOCKED where there is none."""
     node: Annotated[np.ndarray, "int8 rows"]  # verdicts
     penalty: float  # edges at a node cost 1 + penalty * |F| times their length
+    longest: float  # [rad] paths that are believed to cost as much or more are not looked for
     nll: Annotated[np.ndarray, "inner exits"]
     """-log P(free) of each edge, and of those to each goal, where they were computed."""
     known: Annotated[np.ndarray, "int8 inner exits"]
@@ -179,7 +187,8 @@ def _astar(space, roadmap, costs):
             judged = costs.weight == 0.0 or verdict == FREE or roadmap.known[here, slot] == state
             if judged and verdict != FREE and costs.weight > 0.0:
                 cost += costs.weight * roadmap.nll[here, slot]
-            if cost < roadmap.cost[there] and size < roadmap.heap.shape[0]:
+            hopeful = cost < roadmap.cost[there] and cost + roadmap.to_go[there] < roadmap.longest
+            if hopeful and size < roadmap.heap.shape[0]:
                 if judged:
                     roadmap.cost[there] = cost
                 push(
@@ -204,7 +213,7 @@ def _astar(space, roadmap, costs):
                 roadmap.known[row, slot] = _state(roadmap, row, there)
                 roadmap.nll[row, slot] = edge_nll(space, costs, roadmap.nodes[row], roadmap.nodes[there])
                 cost += costs.weight * roadmap.nll[row, slot]
-                if cost >= roadmap.cost[there]:
+                if cost >= roadmap.cost[there] or cost + roadmap.to_go[there] >= roadmap.longest:
                     continue
                 roadmap.cost[there] = cost
                 if size > 0 and roadmap.heap[0] < cost + roadmap.to_go[there]:
@@ -302,6 +311,32 @@ def search(
             continue
         return size, length, searched + 1
     return NO_PATH, length, most_searches
+
+
+@entry
+def keep_short_ways(
+    space: Space,
+    draws: Annotated[np.ndarray, "count n"],
+    start: Annotated[np.ndarray, "n"],
+    goals: Annotated[np.ndarray, "goals n"],
+    longest: float,
+):
+    """Put draws on the manifold; those free and on a way shorter than longest [rad] go first, in order.
+
+    A way is straight from start to a draw, and from there to the nearest of goals. Returns their number.
+    """
+    kept = 0
+    for i in range(draws.shape[0]):
+        for j in range(draws.shape[1]):
+            draws[kept, j] = draws[i, j]
+        if not project_state(space, draws[kept]):
+            continue
+        to_go = np.inf
+        for g in range(goals.shape[0]):
+            to_go = min(to_go, distance(draws[kept], goals[g]))
+        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(space, draws[kept], 0.0):
+            kept += 1
+    return kept
 
 
 @entry

@@ -221,6 +221,23 @@ class Search(Protocol):
         """Search a path from start (n,) to any row of goals (k, n) [rad or m]."""
 
 
+class Ways(Protocol):
+    """Where other paths than the best one known come from, in time left for a shorter one."""
+
+    def next_path(
+        self,
+        space: ConstrainedSpace,
+        best: JointPath,
+        deadline: Deadline,
+        rng: np.random.Generator,
+        number: int,
+    ) -> JointPath | None:
+        """A free path on the manifold that shortening may make shorter than the best, or None.
+
+        number: how often it was asked before in this run. It is asked while a goal is nearer than the best is long.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class Stages:
     """What a planner does with one robot's problems, stage by stage."""
@@ -231,6 +248,7 @@ class Stages:
         None  # the cloud (m, 3) [m, base frame]; None: it needs none
     )
     update: Callable[[Query, Proposal], Proposal] | None = None  # towards the constraint (paper, Algorithm 2)
+    ways: Ways | None = None  # to shorter paths once there is one; None: restarts of the search
 
 
 def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> PlanResult:

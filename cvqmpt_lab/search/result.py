@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from numbers import Real
 from typing import Any
 
@@ -93,7 +94,7 @@ class JointPath:
     def __repr__(self) -> str:
         return f"JointPath of {len(self.states)} states, {self.length:.2f} rad"
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Sum of Euclidean distances between neighbouring states [rad]."""
         return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())

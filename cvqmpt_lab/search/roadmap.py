@@ -118,12 +118,19 @@ class RoadmapQuery:
         goals: np.ndarray,
         settings: RoadmapSettings,
         costs: EdgeCosts | None = None,
+        longest: float = np.inf,
+        known: int = kernels.UNKNOWN,
     ) -> None:
-        """Link start (n,) and goals (k, n) to the roadmap; costs: of edges, None for those of `scene_costs`."""
+        """Link start (n,) and goals (k, n) to the roadmap.
+
+        costs: of edges, None for those of `scene_costs`. longest: paths that are believed to cost more are not looked
+        for [rad]. known: of all nodes; FREE ones are on the manifold.
+        """
+        self._longest = longest
         self._settings, self._space, self._arrays = settings, space, space.arrays._replace(step=settings.step)
         self._costs = costs or scene_costs(space)
         self._ends, self.searches = (start, goals), 0
-        verdict = np.full(len(roadmap.nodes), kernels.UNKNOWN, dtype=np.int8)
+        verdict = np.full(len(roadmap.nodes), known, dtype=np.int8)
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
 
     def _set_up(self, nodes: np.ndarray, table: np.ndarray, verdict: np.ndarray) -> None:
@@ -140,6 +147,7 @@ class RoadmapQuery:
             goal_edge=np.zeros((count + 1, len(goals)), dtype=np.int8),
             node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
             penalty=settings.penalty,
+            longest=self._longest,
             nll=np.empty((count + 1, neighbours.shape[1] + len(goals))),
             known=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
             factor=np.zeros(total),
@@ -152,7 +160,7 @@ class RoadmapQuery:
             heap_edge=np.empty(QUEUE * total, dtype=np.int32),
         )
         self._count, self._left = count, settings.searches
-        kernels.link_query(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
+        kernels.link_query.unchecked(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
         self._graph.to_go[:] *= settings.greed
 
     def add_nodes(self, added: np.ndarray) -> None:
@@ -189,9 +197,11 @@ class RoadmapQuery:
         states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
         length, bad = 0, -1
         while self._left > 0 and deadline.spent() is None:
-            kernels.block_state(self._graph, path, ends, length, bad)  # of a path that failed its fine check
+            kernels.block_state.unchecked(
+                self._graph, path, ends, length, bad
+            )  # of a path that failed its fine check
             most = min(self._left, SEARCHES_AT_ONCE, deadline.rest().iterations or SEARCHES_AT_ONCE)
-            size, length, searched = kernels.search(
+            size, length, searched = kernels.search.unchecked(
                 self._arrays, self._graph, self._costs, most, self._settings.drift, path, ends, states
             )
             self._space.reraise()
