@@ -1,5 +1,6 @@
 """Roadmaps of any robot: nodes, links, the cache, and robots and scenes that hardly allow one."""
 
+import os
 import warnings
 from dataclasses import replace
 
@@ -108,6 +109,18 @@ def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(slider_arm
         np.testing.assert_array_equal(fresh(slider_arm).nodes, made.nodes)
 
 
+@pytest.mark.parametrize("place", ["/dev/full", "/proc/version"])  # no space left, and never writable
+def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made_all_the_same(
+    cache, slider_arm, place
+):
+    made = fresh(slider_arm)
+    (kept,) = cache.iterdir()
+    kept.unlink()
+    (cache / f".{kept.name}.{os.getpid()}.tmp").symlink_to(place)  # where the file is written first
+    np.testing.assert_array_equal(fresh(slider_arm).nodes, made.nodes)
+    assert not list(cache.iterdir())
+
+
 @pytest.mark.parametrize(
     "kinds", [("revolute",), ("prismatic",), ("prismatic",) * 3, ("revolute",) * 12], ids=len
 )
@@ -146,12 +159,13 @@ def ball(centre, name="ball"):
     return SceneObject(name, Sphere(0.05), pose(tuple(centre)))
 
 
-def test_a_new_scene_costs_nothing_and_a_cloud_may_have_a_million_points_or_none(problem):
+def test_a_new_scene_costs_nothing_and_a_cloud_may_have_a_million_points_or_be_left_out(problem):
     rng = np.random.default_rng(0)
     points = rng.uniform((0.4, -1.0, -0.5), (1.4, 1.0, -0.2), (10**6, 3))
-    for cloud in (points, points[:1]):
-        scene = Scene("cloud", (SceneObject("cloud", PointCloud(cloud, 0.005), np.eye(4)),))
-        seen = replace(problem, scene=scene)
+    seen_as = (PointCloud(points, 0.005), PointCloud(points[:1], 0.005), None)
+    for cloud in seen_as:
+        objects = () if cloud is None else (SceneObject("cloud", cloud, np.eye(4)),)
+        seen = replace(problem, scene=Scene("cloud", objects))
         solution = solve(seen, "roadmap", Budget(seconds=5.0), 0, clearance=False)
         assert solution.plan.status is PlanStatus.SOLVED and solution.plan.seconds < 1.0
 
