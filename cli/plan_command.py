@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     task = "a task of several phases instead, planned phase by phase"
     add("--task-file", type=Path, metavar="T.json", help=task)
     chosen = "roadmap, for a task or a held mechanism birrt"
-    add("--planner", help=f"one of {', '.join(PLANNERS)} ({chosen})")
+    add("--planner", help=f"one of {', '.join(PLANNERS)}, or package.module:planner ({chosen})")
     add_model(parser)
     cloud = "obstacles of --start and --goal; beside a suite or file what a network is shown; repeatable"
     kinds = "SCAN.pcd|ply|npy|xyz|png"

@@ -9,6 +9,7 @@ from cli.planner_options import add_budget, add_optimize, budget, optimize_budge
 from cli.report_command import write_report
 from cli.table_command import show_tables
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.external.found import PEERS
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
@@ -50,7 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {hours}")
     add("--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)")
     add("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
-    add("--planners", type=planner_list, metavar="A,B", help=f"of {', '.join(PLANNERS)} (all that can)")
+    add(
+        "--planners",
+        type=planner_list,
+        metavar="A,B",
+        help=f"of {', '.join(PLANNERS)}, {', '.join(PEERS)}, package.module:planner (all that can)",
+    )
     add_model(parser)
     add_budget(parser)
     add_optimize(parser)

@@ -12,8 +12,10 @@ from cvqmpt_lab.problem import PlanningProblem
 
 Model = TypeVar("Model")
 RPY_SHARE = np.sqrt(2.0) / np.pi
-"""Of a bound b on rotation vector entries y and z, for pitch and yaw, roll free: roll turns a tilt t into a rotation
-vector whose part in y and z has length (r / 2) / sin(r / 2) t <= pi / 2 t, and t is at most sqrt(2) of the bound."""
+"""Share of a bound b on rotation vector entries y and z that pitch and yaw get, while roll r is free.
+
+A tilt t, at most sqrt(2) of their bound, becomes a part in y and z of length (r / 2) / sin(r / 2) t <= pi / 2 t. No
+roll uses more than three quarters of b; the rest is for their tolerances, and for what lies between states."""
 
 
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:

@@ -1,0 +1,232 @@
+"""Planners of others: how they are found, and that whatever they do is a row."""
+
+import ctypes
+import json
+import re
+import sys
+import time
+
+import numpy as np
+import pytest
+from command_line import run_here
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.external import found
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.results.provenance import ProvenanceFile
+from cvqmpt_lab.results.row import FailReason
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.warm_up import compile_kernels
+from experiments.executors import Lost, local_processes
+from experiments.run import Experiment, executor_for, run_experiment
+from experiments.suites.place_task import single_goal_problem
+
+PLANNERS = '''
+import os, time
+import numpy as np
+from cvqmpt_lab import Budget, solve
+from cvqmpt_lab.search.query import Proposal, Uniform
+
+def good(problem, budget, seed):
+    path = solve(problem, "birrt", budget, seed).simplified
+    return None if path is None else path.path.states
+
+def sparse(problem, budget, seed):
+    """Corners of a motion far too long to be free."""
+    return [problem.start, problem.robot.upper, problem.goals[0]]
+
+def proposal(problem, budget, seed):
+    return Proposal(Uniform(problem.robot.lower, problem.robot.upper, "theirs"))
+
+def printing(problem, budget, seed):
+    print("a word")
+    os.write(1, b"and one of compiled code")
+    return good(problem, budget, seed)
+
+def raising(problem, budget, seed):
+    raise RuntimeError("no luck today")
+
+def leaving(problem, budget, seed):
+    raise SystemExit(3)
+
+def nan(problem, budget, seed):
+    return np.full((4, 7), np.nan)
+
+def flat(problem, budget, seed):
+    return problem.start
+
+def text(problem, budget, seed):
+    return "a path"
+
+def nothing(problem, budget, seed):
+    return None
+
+def late(problem, budget, seed):
+    time.sleep(1.4 * budget.seconds)
+    return good(problem, budget, seed)
+
+def hanging(problem, budget, seed):
+    while True:
+        try:
+            time.sleep(100.0)
+        except Exception:
+            pass
+
+class Counting:
+    def __init__(self):
+        self.calls = 0
+    def __call__(self, problem, budget, seed):
+        self.calls += 1
+        raise ValueError(f"call {self.calls}, seed {seed}")
+
+number = 3
+'''
+METADATA = "Metadata-Version: 2.1\nName: their-planners\nVersion: 1.2\n"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    compile_kernels(lambda _: None)
+
+
+@pytest.fixture
+def theirs(tmp_path, monkeypatch):
+    """A package of planners with entry points, as pip would install it."""
+    (tmp_path / "their_planners.py").write_text(PLANNERS)
+    about = tmp_path / "their_planners-1.2.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(METADATA)
+    (about / "top_level.txt").write_text("their_planners\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    caches = (found.find_external, found._entry_points)
+    for cache in caches:
+        cache.cache_clear()
+    yield about
+    sys.modules.pop("their_planners", None)
+    for cache in caches:
+        cache.cache_clear()
+
+
+def solved_by(name, seconds=20.0, seed=0):
+    return solve(single_goal_problem(5), f"their_planners:{name}", Budget(seconds=seconds), seed)
+
+
+def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted(theirs):
+    theirs_, ours = solved_by("good"), solve(single_goal_problem(5), "birrt", Budget(seconds=20.0), 0)
+    assert theirs_.solved and np.array_equal(theirs_.simplified.path.states, ours.simplified.path.states)
+    assert theirs_.plan.sampler == "their-planners 1.2" and theirs_.plan.as_is
+
+
+def test_straight_segments_are_divided_and_not_moved(theirs):
+    found_ = solved_by("sparse")
+    states, problem = found_.simplified.path.states, single_goal_problem(5)
+    corners = np.array([problem.start, problem.robot.upper, problem.goals[0]])
+    assert np.linalg.norm(np.diff(states, axis=0), axis=1).max() <= 0.1 + 1e-12
+    assert found_.simplified.path.length == pytest.approx(
+        np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
+    )
+    assert not found_.solved and found_.certificate.reasons
+
+
+def test_our_search_goes_on_from_a_proposal(theirs):
+    solution = solved_by("proposal")
+    assert solution.solved and solution.plan.sampler == "theirs" and solution.plan.counters.projections > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "word"),
+    [
+        ("raising", PlanStatus.PLANNER_ERROR, "RuntimeError: no luck today"),
+        ("leaving", PlanStatus.PLANNER_ERROR, "SystemExit: 3"),
+        ("nan", PlanStatus.MALFORMED_PATH, "row 0 of 4 that it returned is not finite"),
+        ("flat", PlanStatus.MALFORMED_PATH, r"an array \(7,\): give \(m, 7\)"),
+        ("text", PlanStatus.MALFORMED_PATH, "it returned 'a path'"),
+        ("nothing", PlanStatus.NO_PATH, ""),
+        ("Counting", PlanStatus.PLANNER_ERROR, "call 1, seed 0"),
+    ],
+)
+def test_what_is_no_path_has_a_reason(theirs, name, status, word):
+    plan = solved_by(name).plan
+    assert plan.status is status and plan.path is None
+    assert re.search(word, plan.detail)
+    assert FailReason(plan.status)
+
+
+def test_one_that_is_late_or_hangs_is_over_time(theirs):
+    hanging = solved_by("hanging", seconds=0.2).plan
+    assert 0.9 < hanging.seconds < 3.0
+    assert hanging.status is PlanStatus.OVERTIME and "where 0.2 s were given; interrupted" in hanging.detail
+    late = solved_by("late", seconds=0.6).plan
+    assert late.status is PlanStatus.OVERTIME and late.path is None
+
+
+def test_what_it_prints_is_kept_off_standard_output(theirs, capfd):
+    solution = solved_by("printing")
+    written = capfd.readouterr()
+    assert solution.solved and written.out == "" and "a word" in written.err
+    assert "wrote 31 bytes to standard output" in solution.plan.detail
+
+
+def never_returns(task):
+    """Compiled code that keeps the interpreter's lock."""
+    ctypes.PyDLL(None).sleep(600)
+
+
+def test_compiled_code_that_never_returns_ends_with_its_process():
+    began = time.perf_counter()
+    with local_processes(1, lambda task: {"short": 0.5}[task]) as executor:
+        ((_, lost),) = executor.results(never_returns, ["short"])
+    assert isinstance(lost, Lost) and lost.reason is FailReason.WORKER_HUNG
+    assert time.perf_counter() - began < 3.0
+
+
+def test_rows_say_what_happened_and_who_made_the_planner(theirs, tmp_path):
+    names = tuple(f"their_planners:{name}" for name in ("good", "raising", "nan", "printing"))
+    experiment = Experiment("place-task-single-goal", (5,), names, (0,), Budget(seconds=20.0))
+    with executor_for(experiment, 1) as executor:
+        rows = run_experiment(experiment, tmp_path / "out", executor, ["test"], lambda *_: None)
+    by_name = {row.planner.partition(":")[2]: row for row in rows}
+    reasons = {name: row.fail_reason for name, row in by_name.items()}
+    assert reasons == {"good": None, "printing": None, "raising": "planner_error", "nan": "malformed_path"}
+    good = by_name["good"]
+    assert good.certified and good.n_projections is None and good.vertices is None
+    assert good.t_wall_s >= good.t_plan_s > 0.0 and good.sampler_used == "their-planners 1.2"
+    assert ProvenanceFile(tmp_path / "out").read()["planners"] == dict.fromkeys(names, "their-planners 1.2")
+
+
+def test_an_entry_point_is_a_name_and_ours_are_refused(theirs):
+    (theirs / "entry_points.txt").write_text(
+        "[cvqmpt.planners]\nlucky = their_planners:good\ntb-rrt = their_planners:good\n"
+    )
+    assert planner_named("lucky").external == "their-planners 1.2"
+    solution = solve(single_goal_problem(5), "lucky", Budget(seconds=20.0), 0)
+    assert solution.solved, solution
+    with pytest.raises(
+        InvalidInputError, match=r"'tb-rrt' of their-planners 1.2 has the name of one of ours"
+    ):
+        planner_named("tb-rrt")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "word"),
+    [
+        ("no_such_module:plan", InvalidInputError, "there is no module 'no_such_module'"),
+        ("their_planners:godo", UnknownChoiceError, "did you mean 'good'"),
+        ("their_planners:number", InvalidInputError, "is 3: give a function"),
+        ("lucky", UnknownChoiceError, "roboplan, sscbirrt, hpp, package.module:planner"),
+    ],
+)
+def test_a_planner_that_is_not_there_is_refused_in_one_line(theirs, name, kind, word):
+    with pytest.raises(kind, match=word) as refusal:
+        planner_named(name)
+    assert "\n" not in str(refusal.value)
+
+
+def test_the_command_plans_with_it_and_keeps_json_clean(theirs, capfd):
+    words = ["plan", "place-task-single-goal", "--problem", 5, "--cutoff", 30, "--planner"]
+    run_here([*words, "their_planners:printing", "--json"])
+    told = json.loads(capfd.readouterr().out)
+    assert told["solved"] and told["counts"] is None
+    run_here([*words, "their_planners:raising"], code=1)
+    assert "planner_error (RuntimeError: no luck today)" in capfd.readouterr().out

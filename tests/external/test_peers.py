@@ -1,0 +1,88 @@
+"""The adapters of other planners; each is skipped where its packages are not installed (extra `peers`)."""
+
+import importlib.util
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.external.found import PEERS, find_external
+from cvqmpt_lab.external.upright import rpy_box, upright_region
+from cvqmpt_lab.external.world_files import unchecked_pairs, urdf_of
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.search.result import Budget
+from experiments.suites.place_task import place_problem, single_goal_problem
+
+TUNING = 1000  # a problem that is not reported
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return single_goal_problem(TUNING)
+
+
+def missing(name):
+    return [need for module, need in PEERS[name].needs.items() if importlib.util.find_spec(module) is None]
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_an_adapter_plans_a_certified_path(problem, name):
+    if missing(name):
+        pytest.skip(f"not installed: {', '.join(missing(name))}; extra peers")
+    solution = solve(problem, name, Budget(seconds=60.0), seed=0)
+    assert solution.solved, (solution.plan.detail, solution.certificate and solution.certificate.reasons)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_missing_package_is_one_line_with_the_command_that_installs_it(name):
+    if not missing(name):
+        pytest.skip("installed")
+    with pytest.raises(InvalidInputError, match=rf"{name} needs .*not installed: .*\[peers\]"):
+        find_external(name)
+
+
+def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_path):
+    urdf, srdf = urdf_of(problem, tmp_path, np.eye(4))
+    model = pin.buildModelFromXML(urdf)
+    bodies = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    bodies.addAllCollisionPairs()
+    (tmp_path / "arm.srdf").write_text(srdf)
+    pin.removeCollisionPairs(model, bodies, str(tmp_path / "arm.srdf"))
+    data, results = model.createData(), pin.GeometryData(bodies)
+    checker, tool = problem.collision_checker(), model.getFrameId("tool")
+    for q in problem.robot.random_configurations(np.random.default_rng(0), 200):
+        assert pin.computeCollisions(model, data, bodies, results, q, True) == checker.in_collision(q)
+        pin.framesForwardKinematics(model, data, q)
+        assert np.allclose(data.oMf[tool].homogeneous, problem.robot.pose(q), atol=1e-9)
+    assert len(list(unchecked_pairs(problem))) == 17 * 16 / 2 - len(problem.robot.self_collision_pairs)
+
+
+def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_quarter_left(problem):
+    region = upright_region(problem)
+    rng, box = np.random.default_rng(0), rpy_box(region)
+    tilts = rng.choice((-1.0, 1.0), (4000, 2)) * box[4:, 1]
+    turns = [
+        pin.rpy.rpyToMatrix(roll, *tilt)
+        for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)
+    ]
+    vectors = np.abs([pin.log3(turn)[1:] for turn in turns])
+    assert 0.07 < vectors.max() < 0.076
+
+
+def test_other_constraints_and_goals_are_refused(problem):
+    with pytest.raises(InvalidInputError, match="one goal"):
+        upright_region(place_problem(TUNING).with_goals(np.stack([problem.goals[0]] * 2)))
+    with pytest.raises(InvalidInputError, match="one upright constraint"):
+        upright_region(replace(problem, constraint=()))
+
+
+def test_a_path_that_is_moved_off_the_constraint_loses_its_certificate(problem):
+    """What adapters return is judged by the same certificate as ours."""
+    solution = solve(problem, "birrt", Budget(seconds=20.0), seed=0)
+    path = solution.simplified.path
+    middle = path.states.copy()
+    middle[len(middle) // 2] += 0.2
+    assert solution.solved and not certify(problem, type(path)(middle)).valid
