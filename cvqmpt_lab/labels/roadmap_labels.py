@@ -35,6 +35,7 @@ from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_sig
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
 LINKS = 20  # nodes that each is linked to
+CONFINED, SPREAD, NEARBY = 32, 0.25, 12  # ends of links among obstacles; [rad] and number of configurations around each
 NEIGHBOURS = 12  # of a node of a roadmap without dictionary
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16
@@ -80,7 +81,8 @@ class RoadmapRecipe(SceneRecipe):
         arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
         paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
         arrays["path_scene"] = paths.astype(np.int32)
-        arrays["code_start"] = np.cumsum([0, *arrays["code_start"]], dtype=np.int32)
+        for name in ("code_start", "link_start"):
+            arrays[name] = np.cumsum([0, *arrays[name]], dtype=np.int32)
         return packed_shard(number, scene_shapes(scenes) | arrays)
 
     def card(self, out: Path) -> str:
@@ -225,7 +227,8 @@ def roadmap_labels(
     """Check all of a roadmap in a scene and find shortest paths between `pairs` pairs; None after too many CHECKS.
 
     Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free are left out.
-    Arrays are as in `training.shards`, but path_scene and code_start hold counts of paths and of each path's codes.
+    Arrays are as in `training.shards`, but path_scene, code_start and link_start hold counts of paths, of each path's
+    codes and of the ends of links: those of the paths, and CONFINED more.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checks = checks_of(robot, graph)
@@ -236,13 +239,17 @@ def roadmap_labels(
     ends = _ends(space, rng)
     starts, goals = ends[:STARTS], ends[STARTS:]
     every = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
-    nodes, count = np.concatenate([graph.nodes, ends]), len(graph.nodes)
-    of_end = np.repeat(count + np.arange(len(ends)), LINKS)
-    links = np.stack([of_end, nearest_rows(graph.nodes, ends, LINKS).ravel()], axis=1).astype(np.int32)
+    linked_ends = np.concatenate([ends, _confined(space, np.random.default_rng((*seed, 1)))])
+    near = nearest_rows(graph.nodes, linked_ends, LINKS)
+    nodes, count = np.concatenate([graph.nodes, linked_ends]), len(graph.nodes)
+    of_end = np.repeat(count + np.arange(len(linked_ends)), LINKS)
+    links = np.stack([of_end, near.ravel()], axis=1).astype(np.int32)
     linked = verdicts(space, nodes, links, checks=LINK_CHECKS)
     if linked is None:
         return None
-    cost, before = _shortest_paths(nodes, graph.edges[edge_free], links[linked[1]], count)
+    link_free = linked[1]
+    nodes, links = nodes[: count + len(ends)], links[: LINKS * len(ends)]
+    cost, before = _shortest_paths(nodes, graph.edges[edge_free], links[link_free[: len(links)]], count)
     _, in_empty_scene = _shortest_paths(nodes, graph.edges[graph.edge_possible], links, count)
     rows: list[tuple[int, int]] = []
     for s, g in rng.permutation(every).tolist():
@@ -254,6 +261,10 @@ def roadmap_labels(
     return {
         "node_free": np.packbits(node_free)[None],
         "edge_free": np.packbits(edge_free)[None],
+        "link_start": np.array([len(linked_ends)]),
+        "link_end": packed(robot, linked_ends),
+        "link_code": near.astype(np.uint16),
+        "link_free": link_free.reshape(near.shape),
         "path_scene": np.array([len(codes)]),
         "ends": packed(robot, np.stack([starts[s], goals[g]], axis=1)),
         "code_start": np.array([len(path) for path in codes], np.int64),
@@ -273,6 +284,18 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
     close, rest = candidates[near], candidates[~near]
     ends = np.concatenate([close[:wanted], rest, close[wanted:]])[: STARTS + GOALS]
     return rng.permutation(ends)
+
+
+def _confined(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
+    """Free configurations (at most CONFINED, n) among obstacles: those around which most configurations collide."""
+    robot = space.robot
+    candidates = robot.random_configurations(rng, 2 * CANDIDATES)
+    candidates = candidates[near_obstacles(space, candidates)]
+    candidates = candidates[space.valid_batch(candidates)]
+    around = candidates[:, None] + SPREAD * rng.standard_normal((len(candidates), NEARBY, robot.dof))
+    around = np.clip(around, robot.lower, robot.upper).reshape(-1, robot.dof)
+    free = space.valid_batch(around).reshape(len(candidates), NEARBY).sum(axis=1)
+    return candidates[np.argsort(free, kind="stable")[:CONFINED]]
 
 
 def _shortest_paths(

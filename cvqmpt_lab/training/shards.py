@@ -24,6 +24,9 @@ With ``--labels roadmap``::
         path_scene (p,) int32, ends (p,2,n) uint16: start and goal, u * 65535
         code_start (p+1,) int32: ranges into codes (c,) uint16
         cost (p,) float32: length through the codes [rad], inf where there is no path; straight (p,) float32 [rad]
+        link_start (s+1,) int32: ranges into the ends of links, link_end (e,n) uint16: u * 65535; link_code (e,k)
+        uint16: the k nodes nearest to each, and link_free (e,k) bool: the straight motion to it is free. Shards
+        made before there were such labels have none of the four
         differs (p,) bool: the codes are others than those of the shortest path in an empty scene
 """
 
