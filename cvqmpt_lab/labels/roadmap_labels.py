@@ -28,14 +28,17 @@ from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
-from cvqmpt_lab.training.shards import ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
+from cvqmpt_lab.training.shards import LINKS, ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
 from cvqmpt_lab.vqmpt.sampler import links_of, nearest_rows
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
-LINKS = 20  # nodes that each is linked to
-CONFINED, SPREAD, NEARBY = 32, 0.25, 12  # ends of links among obstacles; [rad] and number of configurations around each
+CONFINED, SPREAD, NEARBY = (
+    32,
+    0.25,
+    12,
+)  # ends of links among obstacles; [rad] and number of configurations around each
 NEIGHBOURS = 12  # of a node of a roadmap without dictionary
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16

@@ -15,11 +15,11 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.training.roadmap_dataset import RoadmapDataset
 from cvqmpt_lab.training.roadmap_stage import Cloud, Predicted, RoadmapSettings, RoadmapStage, chosen
+from cvqmpt_lab.training.shards import LINKS
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import PointCloudConfig, SequenceConfig
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel, Scene
 
-LINKS = 20  # codes that a start or goal leads to, as in the labels
 EDGE_WIDTH = 64  # of the dense head
 
 

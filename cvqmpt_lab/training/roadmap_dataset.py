@@ -22,8 +22,10 @@ from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,
     INDEX_FILE,
+    LINKS,
     ROADMAP_FILE,
     RoadmapGraph,
+    RoadmapShard,
     read_roadmap_shards,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
@@ -47,6 +49,10 @@ class RoadmapDataset:
     ends: np.ndarray  # (p, 2, n) uint16: start and goal, u times FULL_SCALE
     code_start: np.ndarray  # (p + 1,) int64: ranges into the codes
     codes: np.ndarray  # (c,) uint16
+    link_start: np.ndarray  # (s + 1,) int64: ranges into the ends of links; empty where none are labelled
+    link_end: np.ndarray  # (e, n) uint16: configurations, u times FULL_SCALE
+    link_code: np.ndarray  # (e, k) uint16: the nodes near each
+    link_free: np.ndarray  # (e, k) bool: the straight motion between both is free
 
     def split(self, name: SplitName) -> np.ndarray:
         """Rows of the paths that train or validate."""
@@ -55,8 +61,17 @@ class RoadmapDataset:
 
     def configurations(self, rows: np.ndarray) -> np.ndarray:
         """Start and goal (r, 2, n) float32 [rad] of paths."""
+        return self.unpacked(self.ends[rows])
+
+    def unpacked(self, joints: np.ndarray) -> np.ndarray:
+        """Configurations (..., n) float32 [rad] of 16-bit shares of the joints' ranges."""
         lower, upper = np.array(self.robot.lower), np.array(self.robot.upper)
-        return (lower + self.ends[rows] / FULL_SCALE * (upper - lower)).astype(np.float32)
+        return (lower + joints / FULL_SCALE * (upper - lower)).astype(np.float32)
+
+    @property
+    def has_links(self) -> bool:
+        """Whether motions from configurations to codes are labelled in every scene with paths."""
+        return bool((np.diff(self.link_start)[self.path_scene] > 0).all())
 
     def free(self, scenes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which nodes (k, N) and edges (k, E) are free in scenes, bool."""
@@ -75,7 +90,7 @@ def open_roadmap_dataset(folder: Path) -> RoadmapDataset:
             f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate --labels roadmap"
         )
     shards = read_roadmap_shards(folder)
-    arrays = [shard.arrays for shard in shards]
+    arrays = [no_links(shard) | shard.arrays for shard in shards]
     found = np.isfinite(together(arrays, "cost")) & (
         np.diff(together_ranges(arrays, "code_start", "codes")) > 0
     )
@@ -98,4 +113,19 @@ def open_roadmap_dataset(folder: Path) -> RoadmapDataset:
         ends=together(arrays, "ends")[found],
         code_start=np.concatenate([[0], np.cumsum(count[found])]),
         codes=codes[np.repeat(found, count)],
+        link_start=together_ranges(arrays, "link_start", "link_end"),
+        link_end=together(arrays, "link_end"),
+        link_code=together(arrays, "link_code"),
+        link_free=together(arrays, "link_free"),
     )
+
+
+def no_links(shard: RoadmapShard) -> dict[str, np.ndarray]:
+    """Arrays of links for a shard that was made before links were labelled."""
+    joints = shard.graph.nodes.shape[1]
+    return {
+        "link_start": np.zeros(len(shard.arrays["family"]) + 1, np.int32),
+        "link_end": np.empty((0, joints), np.uint16),
+        "link_code": np.empty((0, LINKS), np.uint16),
+        "link_free": np.empty((0, LINKS), bool),
+    }

@@ -1,7 +1,8 @@
 """Training of sequence models on roadmap labels: shortest code sequences, and which nodes and edges are free.
 
 The loss of a batch is the mean cross entropy of the next code, plus the binary cross entropies of P(code free) and
-P(edge free), the latter twice, where a model predicts them. Every path is learned from both ways.
+P(edge free), the latter twice, where a model predicts them; and that of P(link free), twice as well, where motions
+between configurations and codes near them are labelled. Every path is learned from both ways.
 """
 
 from abc import abstractmethod
@@ -40,10 +41,12 @@ class RoadmapSettings:
     scenes: int = 4  # of a batch
     paths: int = 96  # of each scene
     goals: int = 16  # different ones of each scene
+    link_ends: int = 24  # configurations of each scene from which motions to codes are judged
     cloud: CloudSettings = field(
         default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
     )
     validation_scenes: int = 70
+    fine_tune: bool = False  # begin with the transformer of the dictionary's weights
     precision: Literal["float32", "bf16"] = "bf16"  # of most matrix products; losses are always float32
     optimizer: OptimizerSettings = field(
         default_factory=lambda: OptimizerSettings(
@@ -52,7 +55,7 @@ class RoadmapSettings:
     )
 
     def __post_init__(self) -> None:
-        names = ("batches_per_epoch", "scenes", "paths", "goals", "validation_scenes")
+        names = ("batches_per_epoch", "scenes", "paths", "goals", "link_ends", "validation_scenes")
         require_sizes(**{name: getattr(self, name) for name in names})
 
 
@@ -66,13 +69,15 @@ class Predicted(NamedTuple):
     logits: Tensor  # (s, r, l + 1, classes) after every prefix; the last class is the goal
     node_odds: Tensor | None = None  # (s, N), log odds of P(code free)
     edge_odds: Tensor | None = None  # (s, E), log odds of P(edge free)
+    link_odds: Tensor | None = None  # (s, k, l), log odds of P(link free)
 
 
 class RoadmapBatches(Dataset):
     """Batches: scene (s,); the arrays of their clouds; node_free (s, N), edge_free (s, E) bool.
 
     starts (s, u, n) and goals (s, g, n) [rad], and which of them each path joins, start and goal (s, r); codes
-    (s, r, l), padded with 0, and how many there are, count (s, r).
+    (s, r, l), padded with 0, and how many there are, count (s, r). Where links are labelled, link_end (s, k, n) [rad],
+    link_code (s, k, l) and link_free (s, k, l) bool; else k = 0.
     """
 
     def __init__(
@@ -93,6 +98,7 @@ class RoadmapBatches(Dataset):
         self._cloud = settings.cloud if augmented else settings.cloud.without_augmentation()
         self._first = np.searchsorted(dataset.path_scene, np.arange(len(dataset.scenes) + 1))
         self._count = np.diff(dataset.code_start)
+        self._links_each = settings.link_ends if dataset.has_links else 0
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -107,11 +113,15 @@ class RoadmapBatches(Dataset):
         clouds = [self._cloud_arrays(sample_cloud(of_scene, self._cloud, rng)) for of_scene in shapes]
         node, edge = dataset.free(scenes)
         batched = {name: _stacked([paths[name] for paths in each]) for name in each[0]}
+        links = np.stack([self._links(int(scene), rng) for scene in scenes])
         return batched | {
             "scene": scenes,
             **{name: np.stack([cloud[name] for cloud in clouds]) for name in clouds[0]},
             "node_free": node,
             "edge_free": edge,
+            "link_end": dataset.unpacked(dataset.link_end[links]),
+            "link_code": dataset.link_code[links].astype(np.int64),
+            "link_free": dataset.link_free[links],
             "codes": batched["codes"][:, :, : batched["count"].max()],
         }
 
@@ -142,6 +152,11 @@ class RoadmapBatches(Dataset):
             "codes": codes,
             "count": count,
         }
+
+    def _links(self, scene: int, rng: np.random.Generator) -> np.ndarray:
+        """Rows (k,) of some of a scene's ends of links."""
+        first, last = self._dataset.link_start[scene : scene + 2]
+        return rng.choice(np.arange(first, last), self._links_each, replace=last - first < self._links_each)
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
@@ -221,14 +236,18 @@ class RoadmapStage(Stage):
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Cross entropy of the next code, and of what is free."""
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bf16"):
-            logits, node_odds, edge_odds = self.predict(batch, batch)
+            logits, node_odds, edge_odds, link_odds = self.predict(batch, batch)
         targets = self.targets(batch, logits.shape[-1] - 1)
         code = F.cross_entropy(logits.flatten(0, 2).float(), targets.flatten(), ignore_index=NO_TARGET)
         if node_odds is None or edge_odds is None:
             return {"loss": code, "code": code}
         node = F.binary_cross_entropy_with_logits(node_odds, batch["node_free"].float())
         edge = F.binary_cross_entropy_with_logits(edge_odds, batch["edge_free"].float())
-        return {"loss": code + node + 2.0 * edge, "code": code, "node": node, "edge": edge}
+        found = {"loss": code + node + 2.0 * edge, "code": code, "node": node, "edge": edge}
+        if link_odds is not None:
+            found["link"] = F.binary_cross_entropy_with_logits(link_odds, batch["link_free"].float())
+            found["loss"] = found["loss"] + 2.0 * found["link"]
+        return found
 
     @staticmethod
     def targets(batch: dict[str, Tensor], goal: int) -> Tensor:
@@ -286,9 +305,9 @@ class RoadmapStage(Stage):
                 means.add(f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted))
             if prefix == "":
                 means.add("loss", float(counted.sum()), len(counted))
-                for name, predicted in zip(("node", "edge"), dense, strict=True):
+                for name, predicted in zip(("node", "edge", "link"), dense, strict=True):
                     if predicted is not None:
-                        each_scene = zip(predicted, batch[f"{name}_free"], strict=True)
+                        each_scene = zip(predicted.flatten(1), batch[f"{name}_free"].flatten(1), strict=True)
                         found = (area_under_curve(o, f) for o, f in each_scene)
                         areas = [area for area in found if area is not None]
                         means.add(f"{name}_area_under_curve", sum(areas), len(areas))

@@ -24,8 +24,8 @@ With ``--labels roadmap``::
         path_scene (p,) int32, ends (p,2,n) uint16: start and goal, u * 65535
         code_start (p+1,) int32: ranges into codes (c,) uint16
         cost (p,) float32: length through the codes [rad], inf where there is no path; straight (p,) float32 [rad]
-        link_start (s+1,) int32: ranges into the ends of links, link_end (e,n) uint16: u * 65535; link_code (e,k)
-        uint16: the k nodes nearest to each, and link_free (e,k) bool: the straight motion to it is free. Shards
+        link_start (s+1,) int32: ranges into the ends of links, link_end (e,n) uint16: u * 65535; link_code (e,20)
+        uint16: the nodes nearest to each; link_free (e,20) bool: the straight motion between both is free. Shards
         made before there were such labels have none of the four
         differs (p,) bool: the codes are others than those of the shortest path in an empty scene
 """
@@ -49,6 +49,7 @@ ROADMAP_FILE = "roadmap.npz"
 SHARDS_FOLDER = "shards"
 COLUMNS = ("shard", "sha256", "scenes", "paths")
 FULL_SCALE = 65535.0  # what a stored joint is at the upper limit
+LINKS = 20  # nodes of a roadmap that a start or goal is linked to
 
 _REQUIRED = {  # dimensions and kinds of numbers (numpy's letters) of every array
     "family": (1, "u"),
@@ -256,7 +257,7 @@ class RoadmapShard(NamedTuple):
             fits = fits and len(arrays["code_start"]) == len(arrays["ends"]) + 1 == row.paths + 1
         except KeyError as error:
             raise InvalidInputError(f"{path}: array {error} is missing; generate it again") from error
-        if not fits:
+        if not fits or not _links_fit(arrays, row.scenes, graph):
             raise InvalidInputError(f"{path} does not fit {ROADMAP_FILE} or the index; generate it again")
         return cls(arrays, graph)
 
@@ -267,6 +268,22 @@ class RoadmapShard(NamedTuple):
     def edge_free(self, scene: int) -> np.ndarray:
         """(E,) bool."""
         return np.unpackbits(self.arrays["edge_free"][scene], count=len(self.graph.edges)).astype(bool)
+
+
+def _links_fit(arrays: dict[str, np.ndarray], scenes: int, graph: RoadmapGraph) -> bool:
+    """Whether the arrays of links, if any, fit each other and the roadmap."""
+    if "link_start" not in arrays:
+        return True
+    try:
+        ends, codes, free = (arrays[name] for name in ("link_end", "link_code", "link_free"))
+    except KeyError:
+        return False
+    return (
+        _are_ranges(arrays["link_start"], scenes, len(ends))
+        and ends.shape == (len(ends), graph.nodes.shape[1])
+        and codes.shape == free.shape == (len(ends), LINKS)
+        and _within(codes, 0, len(graph.nodes))
+    )
 
 
 def read_roadmap_shards(folder: Path) -> list[RoadmapShard]:

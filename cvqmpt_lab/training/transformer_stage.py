@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.training.roadmap_dataset import RoadmapDataset
 from cvqmpt_lab.training.roadmap_stage import Cloud, Predicted, RoadmapSettings, RoadmapStage, chosen
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
@@ -46,11 +47,22 @@ class TransformerStage(RoadmapStage):
         self.module.set_roadmap(graph.nodes, graph.edges)
 
     def prepare(self) -> None:
-        """Begin with how often each code and edge is free."""
+        """Begin with how often each code and edge is free, or with the weights that are fine-tuned."""
+        if self.settings.fine_tune:
+            self._begin_with(self.dictionary.transformer)
+            return
         with torch.no_grad():
             priors = (self.module.node_prior, self.module.edge_prior)
             for prior, share in zip(priors, self.free_shares(), strict=True):
                 prior.copy_(share)
+
+    def _begin_with(self, trained: SceneTransformer | None) -> None:
+        if trained is None or trained.config.sizes != self.config.sizes:
+            raise InvalidInputError(
+                "fine_tune needs a --dictionary whose weights hold a transformer of the sizes of transformer_model; "
+                "leave both out to begin with the shipped weights"
+            )
+        self.module.load_state_dict(trained.state_dict())
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """Centres (t, 3) and offsets (t, m, 3) [m] of groups of points."""
@@ -66,7 +78,10 @@ class TransformerStage(RoadmapStage):
         start = Ends(*(chosen(part, batch["start"]) for part in starts))
         goal = Ends(*(chosen(part, batch["goal"]) for part in goals))
         logits = self.module.logits(scenes, start, goal, chosen(V, batch["goal"]), batch["codes"])
-        return Predicted(logits, scenes.node_odds, scenes.edge_odds)
+        links = None
+        if batch["link_end"].shape[1]:
+            links = self.module.link_odds(scenes, batch["link_end"], batch["link_code"])
+        return Predicted(logits, scenes.node_odds, scenes.edge_odds, links)
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary with the transformer as it stands."""

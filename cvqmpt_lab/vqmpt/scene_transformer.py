@@ -255,19 +255,27 @@ class SceneTransformer(nn.Module):
 
     def ends(self, scenes: Scenes, q: Tensor) -> Ends:
         """Look at scenes from starts or goals q (s, u, n) [rad], and half way to the codes near them."""
-        s, u, _ = q.shape
+        s = len(q)
         seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
         length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(
             self.config.sizes.links, largest=False
         )
+        return Ends(seen, near, length + RISK * F.softplus(-self._link_odds(scenes, q, seen, near)))
+
+    def link_odds(self, scenes: Scenes, q: Tensor, near: Tensor) -> Tensor:
+        """Log odds (s, u, l) that the straight motion from q (s, u, n) [rad] to codes near (s, u, l) is free."""
+        seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
+        return self._link_odds(scenes, q, seen, near)
+
+    def _link_odds(self, scenes: Scenes, q: Tensor, seen: Tensor, near: Tensor) -> Tensor:
+        u = q.shape[1]
         half_way = (0.5 * (q[:, :, None] + self.nodes[near])).flatten(1, 2)
         middle = self.look(*self.configurations(half_way), scenes.tokens, scenes.centres)
         x = self.middle(middle).float().unflatten(1, (u, -1)) + self.part(seen).float()[:, :, None]
         x = x + scenes.parts.gather(1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])).unflatten(
             1, (u, -1)
         )
-        odds = self.link(x.relu())[..., 0].float()
-        return Ends(seen, near, length + RISK * F.softplus(-odds))
+        return self.link(x.relu())[..., 0].float()
 
     @torch.no_grad()
     def cost_to_go(self, scenes: Scenes, goals: Ends) -> Tensor:
