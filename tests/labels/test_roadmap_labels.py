@@ -1,4 +1,5 @@
 import dataclasses
+import shutil
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,16 @@ from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.dataset import open_dataset
-from cvqmpt_lab.training.shards import FULL_SCALE, RoadmapGraph, read_roadmap_shards
+from cvqmpt_lab.training.roadmap_dataset import open_roadmap_dataset
+from cvqmpt_lab.training.shards import (
+    FULL_SCALE,
+    LINKS,
+    RoadmapGraph,
+    finished_shards,
+    packed_shard,
+    read_roadmap_shards,
+    write_shard,
+)
 
 TINY = RoadmapRecipe(4, 12, ("table", "cage"))
 
@@ -62,6 +72,81 @@ def test_paths_walk_free_edges_and_cost_what_they_say(shard, scene):
         states = np.concatenate([[start], graph.nodes[codes], [goal]])
         length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
         assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
+
+
+@pytest.mark.parametrize("scene", [0, 1])
+def test_motions_called_free_are_free_by_the_exact_checker(shard, scene):
+    checker, arrays, robot = CollisionChecker(panda(), scene_of(shard, scene)), shard.arrays, panda()
+    rows = slice(arrays["link_start"][scene], arrays["link_start"][scene + 1])
+    free = arrays["link_free"][rows]
+    assert 0.02 < free.mean() < 0.98
+    ends = robot.lower + arrays["link_end"][rows] / FULL_SCALE * (robot.upper - robot.lower)
+    nodes = shard.graph.nodes[arrays["link_code"][rows]]
+    farthest = np.sort(np.linalg.norm(ends[:, None] - shard.graph.nodes, axis=2))[:, [LINKS - 1]]
+    near = np.linalg.norm(ends[:, None] - nodes, axis=2)
+    assert (near <= farthest + 1e-3).all()  # as far as ends are rounded
+    marks = np.linspace(0.0, 1.0, 40)[:, None]
+    states = (1.0 - marks) * ends[:, None, None] + marks * nodes[:, :, None]
+    collides = checker.in_collision_batch(states.reshape(-1, 7)).reshape(*free.shape, -1).any(axis=2)
+    assert not collides[free].any()
+    assert collides[~free].mean() > 0.9  # others are at least very near
+
+
+def test_shards_that_are_missing_are_made_again_as_they_were(tiny, tmp_path):
+    shutil.copytree(tiny, tmp_path / "again")
+    (tmp_path / "again/shards/000001.npz").unlink()
+    make(tmp_path / "again")
+    assert (tmp_path / "again/shards.csv").read_bytes() == (tiny / "shards.csv").read_bytes()
+
+
+def rewritten(folder, number, change):
+    """The shard with changed arrays, and a fitting index."""
+    arrays = dict(np.load(folder / f"shards/{number:06d}.npz"))
+    rows = {row.shard: row for row in finished_shards(folder)}
+    change(arrays)
+    rows[number], content = packed_shard(number, arrays)
+    write_shard(folder, rows[number], content, rows.values())
+
+
+def test_shards_of_before_motions_were_labelled_are_read(tiny, tmp_path):
+    folder = tmp_path / "old"
+    shutil.copytree(tiny, folder)
+    now = open_roadmap_dataset(folder)
+    assert now.has_links and len(now.link_end) == now.link_start[-1] > 4
+    assert now.link_free.shape == now.link_code.shape == (len(now.link_end), LINKS)
+
+    def without(arrays):
+        for name in ("link_start", "link_end", "link_code", "link_free"):
+            del arrays[name]
+
+    rewritten(folder, 0, without)
+    mixed = open_roadmap_dataset(folder)
+    assert not mixed.has_links
+    assert mixed.link_start.tolist() == [0, 0, *(now.link_start[2:] - now.link_start[2])]
+    np.testing.assert_array_equal(mixed.codes, now.codes)
+    rewritten(folder, 1, without)
+    assert open_roadmap_dataset(folder).link_free.shape == (0, LINKS)
+
+
+def cut(arrays):
+    arrays["link_free"] = arrays["link_free"][:-1]
+
+
+def beyond(arrays):
+    arrays["link_code"] = arrays["link_code"] + np.uint16(1024)
+
+
+def alone(arrays):
+    del arrays["link_end"]
+
+
+@pytest.mark.parametrize("damage", [cut, beyond, alone])
+def test_labels_of_motions_that_contradict_the_roadmap_are_refused(tiny, tmp_path, damage):
+    folder = tmp_path / "bad"
+    shutil.copytree(tiny, folder)
+    rewritten(folder, 0, damage)
+    with pytest.raises(InvalidInputError, match=r"000000\.npz does not fit"):
+        open_roadmap_dataset(folder)
 
 
 def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(tiny):

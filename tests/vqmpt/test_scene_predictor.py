@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from small_models import SIZES, random_checkpoint
+from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import serial_chain
@@ -18,7 +19,7 @@ from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
 from cvqmpt_lab.vqmpt.point_groups import group_points
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
-from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer, roadmap_ways
+from cvqmpt_lab.vqmpt.scene_transformer import RISK, Ends, SceneTransformer, roadmap_ways
 from cvqmpt_lab.vqmpt.sequence_decoder import LONGEST, SequenceDecoder
 
 SMALL = SceneTransformerSizes(
@@ -99,6 +100,9 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(checkpoint, predicto
     with torch.no_grad():
         first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
         V = network.cost_to_go(by_torch, ends)
+        risk = F.softplus(-network.link_odds(by_torch, tensor(goals), ends.near))
+        length = (tensor(goals)[:, :, None] - network.nodes[ends.near]).norm(dim=-1)
+    np.testing.assert_allclose(ends.cost, length + RISK * risk, atol=1e-4)
     decoder = SequenceDecoder(predictor._network, scene, start, goals)
     np.testing.assert_allclose(decoder.V, V[0], atol=1e-4)
     expected = (first.cost[0] + V[0][:, first.near[0, 0]]).min(dim=1).values
