@@ -46,7 +46,7 @@ MEASURES = {
         ("wrong_cloud_", "another scene's cloud"),
         ("no_cloud_", "no cloud"),
     )
-} | {f"{kind}_area_under_curve": f"AUC of {kind}s" for kind in ("node", "edge")}
+} | {f"{kind}_area_under_curve": f"AUC of {kind}s" for kind in ("node", "edge", "link")}
 SHARES = (
     "likeliest sequence",
     "its motion from the start",
