@@ -110,9 +110,7 @@ def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(slider_arm
 
 
 @pytest.mark.parametrize("place", ["/dev/full", "/proc/version"])  # no space left, and never writable
-def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made_all_the_same(
-    cache, slider_arm, place
-):
+def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made_all_the_same(cache, slider_arm, place):
     made = fresh(slider_arm)
     (kept,) = cache.iterdir()
     kept.unlink()
