@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         near_goals_first=args.suite is None,
     )
     print(
-        as_json(solution_data(solution, planner, why))
+        as_json(solution_data(solution, planner, why, problem))
         if args.json
         else "\n".join(report(solution, planner, why))
     )

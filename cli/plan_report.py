@@ -89,9 +89,11 @@ def as_json(data: dict[str, Any]) -> str:
     return json.dumps(finite(data), indent=1, allow_nan=False)
 
 
-def solution_data(solution: Solution, planner: str, why: str = "") -> dict[str, Any]:
-    """The same as plain data for json, with the path's states."""
-    plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
+def solution_data(
+    solution: Solution, planner: str, why: str = "", asked: PlanningProblem | None = None
+) -> dict[str, Any]:
+    """The same as plain data for json, with the path's states; asked: the problem before goals were drawn."""
+    plan, shorter = solution.plan, solution.simplified
     problem, more = solution.problem, solution.improvement
     return {
         "problem": problem.name,
@@ -118,12 +120,19 @@ def solution_data(solution: Solution, planner: str, why: str = "") -> dict[str, 
         "counts": None if plan.as_is else vars(plan.counters) | {"vertices": plan.vertices},
         "length_rad": shorter.path.length if shorter else None,
         "optimize": more and vars(more) | {"budget": vars(more.budget), "gained": more.gained},
-        "certificate": certificate
-        and vars(certificate)
-        | {
-            "valid": certificate.valid,
-            "verdict": str(certificate.verdict),
-            "reasons": list(certificate.reasons),
-        },
+        "certificate": _record(solution, asked or solution.problem),
         "path": shorter.path.states.tolist() if shorter else None,
     }
+
+
+def _record(solution: Solution, problem: PlanningProblem) -> dict[str, Any] | None:
+    """The certificate of its path as `cvqmpt certify --json` prints it; None without a path."""
+    from cli.certificate_record import record  # these need scipy.interpolate, half a second to import
+    from cvqmpt_lab.motion_check import DryRun
+    from cvqmpt_lab.trajectory.trajectory_files import Motion
+
+    if solution.simplified is None or solution.certificate is None:
+        return None
+    states = solution.simplified.path.states
+    motion = Motion(problem.robot.joint_names, states)
+    return record(problem, motion, DryRun(solution.certificate, states))

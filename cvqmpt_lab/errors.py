@@ -81,6 +81,13 @@ def whole_number(what: str, value: object, least: int = 0, most: int | None = No
     raise InvalidInputError(f"{what} {shown(value)}: give a whole number {bounds}")
 
 
+def require_kind(what: str, value: object, kind: type, cure: str = "") -> None:
+    """Refuse a value of another type; InvalidInputError calls it `what` and names both types."""
+    if not isinstance(value, kind):
+        found = f"{what} is a {type(value).__name__}, {shown(value)}"
+        raise InvalidInputError(f"{found}; it must be a {kind.__name__}{cure and f': {cure}'}")
+
+
 def torch_installed() -> bool:
     """Whether torch is installed; does not import it."""
     return importlib.util.find_spec("torch") is not None

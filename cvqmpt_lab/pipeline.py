@@ -11,7 +11,7 @@ import numpy as np
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
-from cvqmpt_lab.errors import whole_number
+from cvqmpt_lab.errors import require_kind, whole_number
 from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
@@ -26,6 +26,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 
 MAX_GOALS = 20
 NEAR_GOALS = 5  # that are tried first where joints turn more than once
+LOAD = "PlanningProblem.load(path) reads a file; a Task is for solve_task"
 _log = logging.getLogger("cvqmpt")
 
 
@@ -89,12 +90,14 @@ def solve(
     Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a
     method that cannot serve the problem (weights of another robot, no constraint).
     """
+    require_kind("problem", problem, PlanningProblem, LOAD)
     Budget.require(budget)
     if optimize is not None:
         Budget.require(optimize, "optimize")
         check_units(budget, optimize)
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
+    require_kind("method", method, Method, "or the name of a planner")
     called = time.perf_counter()
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
@@ -176,7 +179,9 @@ def solve_many(
     """
     method = planner_named(method) if isinstance(method, str) else method
     scenes: dict[Any, list[int]] = {}
+    require_kind("problems", problems, Sequence, "a list of problems")
     for index, problem in enumerate(problems):
+        require_kind(f"problems[{index}]", problem, PlanningProblem, LOAD)
         scenes.setdefault((problem.scene, problem.robot), []).append(index)
     found = {
         index: solve(problems[index], method, budget, seed, **options)

@@ -127,6 +127,21 @@ def test_a_seed_that_is_no_whole_number_is_refused(problem, task, call, seed):
         call(given, "birrt", ENOUGH, seed)
 
 
+def test_objects_of_a_wrong_type_are_refused_by_their_type(problem, task):
+    loads = r"it must be a PlanningProblem: PlanningProblem\.load"
+    for call, given, told in (
+        (solve, ("mine.json", "birrt"), f"problem is a str, 'mine.json'; {loads}"),
+        (solve, (task, "birrt"), "problem is a Task, .*; a Task is for solve_task"),
+        (solve, (problem, 3), "method is a int, 3; it must be a Method: or the name of a planner"),
+        (solve_many, (problem, "birrt"), "problems is a PlanningProblem, .*a list of problems"),
+        (solve_many, ([problem, None], "birrt"), rf"problems\[1\] is a NoneType, None; {loads}"),
+        (solve_task, (problem, "birrt"), "task is a PlanningProblem, .*must be a Task: .*for solve"),
+        (solve_task, (task, None), "method is a NoneType"),
+    ):
+        with pytest.raises(InvalidInputError, match=told):
+            call(*given, ENOUGH, 0)
+
+
 @pytest.mark.parametrize("budget", [2.5, None, "3", {"iterations": 3}])
 def test_what_is_no_budget_is_refused(problem, task, budget):
     for call, given in ((solve, problem), (solve_task, task)):

@@ -180,9 +180,10 @@ ARMS: Mapping[str, NamedArm] = {
 }
 
 ALIASES = {"so100": "so-arm", "so101": "so-arm101", "j2s6s200": "kinova", "franka": "panda"}
+LBR = "its URDF comes with ROS's lbr_description (github.com/lbr-stack/lbr_fri_ros2_stack)"
 ELSEWHERE = {
     "gen3": "its URDF comes with ROS's kortex_description (github.com/Kinovarobotics/ros2_kortex)",
-    "iiwa": "its URDF comes with ROS's iiwa_description (github.com/lbr-stack/lbr_fri_ros2_stack, lbr_description)",
+    **dict.fromkeys(("iiwa", "iiwa7", "iiwa14"), LBR),
 }
 
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -219,6 +220,8 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 # Triangles to pixels.
+SMALL = (0, 4, 8, 16, 32)  # sides of squares [pixels] in which small triangles are drawn many at a time
+AT_ONCE = 1_000_000  # pixels of such squares
 NEAR = 0.05  # [m] triangles closer to the camera than this are left out
 SUN_LEFT, SUN_ELEVATION = 0.14, 0.722  # [rad] of the sun seen from the target, to the left of the eye
 
@@ -279,12 +282,17 @@ def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
     high = np.minimum(np.floor(screen[..., :2].max(axis=1)) + 1, shape[::-1]).astype(int)
     drawn = (area < 0.0) & (low < high).all(axis=1) & (screen[..., 2] > NEAR).all(axis=1)
     face, nearest = np.full(shape, -1), np.zeros(shape)
+    edges, width = np.concatenate([planes[:, None], weights], axis=1), (high - low).max(axis=1)
+    for least, most in pairwise(SMALL):
+        faces = np.flatnonzero(drawn & (least < width) & (width <= most))
+        for part in np.array_split(faces, 1 + len(faces) * most**2 // AT_ONCE):
+            _fill_small(face, nearest, part, edges[part], low[part], high[part], most)
     row, column = np.arange(shape[0])[:, None], np.arange(shape[1])
-    for f in np.flatnonzero(drawn):
+    for f in np.flatnonzero(drawn & (width > SMALL[-1])):
         block = slice(low[f, 1], high[f, 1]), slice(low[f, 0], high[f, 0])
         y, x = row[block[0]], column[block[1]]
         here = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2]
-        inside = here > nearest[block]
+        inside = (here > nearest[block]) | ((here == nearest[block]) & (f < face[block]))
         for a, b, c in weights[f]:
             inside &= a * x + b * y + c >= 0.0
         nearest[block][inside] = here[inside]
@@ -296,6 +304,34 @@ def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
     for k in range(3):
         normals += (weights[seen, k] * pixel).sum(axis=1, keepdims=True) * mesh.normals[seen, k]
     return View(rows, columns, seen, 1.0 / nearest[rows, columns], unit(normals))
+
+
+def _fill_small(
+    face: np.ndarray,
+    nearest: np.ndarray,
+    faces: np.ndarray,
+    edges: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    side: int,
+) -> None:
+    """Draw many small triangles at once, as `rasterise` draws one; of equally near ones the first counts.
+
+    face, nearest: (rows, columns), changed. faces: their numbers (k,). edges: (k, 4, 3), nearness and corner weights of
+    a pixel (x, y, 1). low, high: (k, 2), first pixel of each and the one after its last, at most side away.
+    """
+    x, y = low[:, 0, None, None] + np.arange(side), low[:, 1, None, None] + np.arange(side)[:, None]
+    a, b, c = (edges[..., k, None, None] for k in range(3))
+    seen = (x < high[:, 0, None, None]) & (y < high[:, 1, None, None])
+    for k in range(1, edges.shape[1]):
+        seen &= a[:, k] * x + b[:, k] * y + c[:, k] >= 0.0
+    here = (a[:, 0] * x + b[:, 0] * y + c[:, 0])[seen]
+    pixel, f = (y * face.shape[1] + x)[seen], faces[np.nonzero(seen)[0]]
+    flat_face, flat_nearest = face.reshape(-1), nearest.reshape(-1)
+    before = flat_nearest[pixel]
+    np.maximum.at(flat_nearest, pixel, here)
+    wins = (here == flat_nearest[pixel]) & ((here > before) | (f < flat_face[pixel]))
+    flat_face[pixel[wins][::-1]] = f[wins][::-1]  # of what is assigned twice the last stays
 
 
 def _corner_weights(screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, whole_number
+from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, require_kind, whole_number
 from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
@@ -96,9 +96,11 @@ def solve_task(
 
     A move that goes through regions is planned in legs, and stops between them; the solution's task has them as phases.
     """
+    require_kind("task", task, Task, "Task.load(path) reads a file; a PlanningProblem is for solve")
     Budget.require(budget)
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
+    require_kind("method", method, Method, "or the name of a planner")
     return _Run(task.in_legs, method, budget, seed, timing or TimingSettings(), backend).solve()
 
 

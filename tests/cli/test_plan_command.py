@@ -101,8 +101,20 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
             motion = read_motion(folder / step["file"])
             assert motion.positions.shape[1] == 7 and motion.positions[0] == pytest.approx(q, abs=1e-9)
             q = motion.positions[-1]
-            assert phase["certificate"]["valid"] and phase["duration_s"] == step["duration_s"]
+            assert (
+                phase["certificate"]["verdict"] == "valid" and phase["certificate"]["compared"]["obstacles"]
+            )
+            assert phase["duration_s"] == step["duration_s"]
             assert motion.times[-1] == pytest.approx(step["duration_s"], abs=1e-6)
             if step["phase"] == "away/1":
                 off = displacements(robot_from_source(task.robot), task.phases[-1].through[0], q[None])[0]
                 assert np.abs(off[:3]).max() <= 0.0201 and np.abs(off[3:]).max() < 1e-3
+
+
+def test_json_holds_the_record_that_certify_prints(tmp_path, capsys):
+    words = ["place-task", "--problem", "7"]
+    plan = ["plan", *words, "--planner", "birrt", "--iterations", "20000", "--json"]
+    assert main([*plan, "--save-path", str(tmp_path / "path.csv")]) == 0
+    planned = json.loads(capsys.readouterr().out)["certificate"]
+    assert main(["certify", str(tmp_path / "path.csv"), *words, "--json"]) == 0
+    assert planned == json.loads(capsys.readouterr().out) and planned["valid"]
