@@ -108,7 +108,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     compile_kernels(log)
     for amount in chosen:
         folder = out / amount.folder
-        command = [*amount.command, "--jobs", str(jobs), "--out", str(folder)]
+        command = [*amount.command, "--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
         with executor_for(amount.experiment, jobs) as executor:
             run_experiment(amount.experiment, folder, executor, command, ProgressBar(amount.folder))
         render_directory(folder)
