@@ -11,6 +11,7 @@ from pathlib import Path
 
 from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
+from cvqmpt_lab.external.found import PEERS
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import REMOVED, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
@@ -21,6 +22,7 @@ from cvqmpt_lab.search.anytime import check_units
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
@@ -169,6 +171,8 @@ def run_experiment(
 
 def models_of(planner: str) -> tuple[str, ...]:
     """Names of the models that a planner needs; of a removed one, those of what replaces it."""
+    if planner in PEERS or ":" in planner.removeprefix(PREFIX):
+        return ()  # of others, perhaps not installed
     kind = planner_named(REMOVED.get(planner, planner)).weights
     return () if kind is None else (kind,)
 
