@@ -81,6 +81,6 @@ def training_figure(rows: Sequence[Row]) -> Figure:
         axes.grid(visible=True, color="0.92", linewidth=0.6)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(len(names), 4), frameon=False, fontsize="small"
+        handles, labels, loc="outside lower center", ncols=min(len(names), 3), frameon=False, fontsize="small"
     )
     return figure
