@@ -11,11 +11,11 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 
 Model = TypeVar("Model")
-RPY_SHARE = np.sqrt(2.0) / np.pi
+RPY_SHARE = 0.55
 """Share of a bound b on rotation vector entries y and z that pitch and yaw get, while roll r is free.
 
-A tilt t, at most sqrt(2) of their bound, becomes a part in y and z of length (r / 2) / sin(r / 2) t <= pi / 2 t. No
-roll uses more than three quarters of b; the rest is for their tolerances, and for what lies between states."""
+To first order pitch and yaw of s b each become entries of at most s b h (cot h + 1), h = r / 2, which is 1.67 s b at
+the most: so s = 0.60 fits. The rest is for their tolerances, and for what lies between states."""
 
 
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
