@@ -32,7 +32,7 @@ NOTES = (
     f"Ratios to {REFERENCE}: geometric mean over problems that both solved, paired by problem and seed, "
     "bootstrap interval.",
     "Length: of certified paths, Euclidean in joint space.",
-    "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of three quarters of what fits "
+    "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of nine tenths of what fits "
     "into the problem's bounds at any roll; HPP keeps the hand upright exactly; its time holds its random shortcuts, "
     "as sscbirrt's holds its smoothing; roboplan has no shortening that knows constraints. roboplan and sscbirrt check "
     "states 0.05 rad apart, as they are set up by their makers; their refused paths collide.",

@@ -19,7 +19,8 @@ STEPS = (  # from the paper's CBiRRT to our own ideas: what is added, planner, a
     ("+ transformer", CVQ, REFERENCE),
     ("+ Algorithm 2", OPT, CVQ),
     ("+ wide Gaussians", "cvq-wide", OPT),
-    ("codes as a roadmap", "roadmap-cvq", OPT),
+    ("roadmap, no training", "roadmap", REFERENCE),
+    ("+ dictionary's codes", "roadmap-cvq", "roadmap"),
 )
 
 
