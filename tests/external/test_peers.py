@@ -60,7 +60,7 @@ def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_
     assert len(list(unchecked_pairs(problem))) == 17 * 16 / 2 - len(problem.robot.self_collision_pairs)
 
 
-def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_quarter_left(problem):
+def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(problem):
     region = upright_region(problem)
     rng, box = np.random.default_rng(0), rpy_box(region)
     tilts = rng.choice((-1.0, 1.0), (4000, 2)) * box[4:, 1]
@@ -69,7 +69,7 @@ def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_quarter_left(pr
         for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)
     ]
     vectors = np.abs([pin.log3(turn)[1:] for turn in turns])
-    assert 0.07 < vectors.max() < 0.076
+    assert 0.09 < vectors.max() < 0.092
 
 
 def test_other_constraints_and_goals_are_refused(problem):

@@ -93,7 +93,7 @@ def test_suites_know_their_problems(suite):
     sizes = {"place-task": 150, "place-task-with-can": 150, "place-task-single-goal": 30, "constraints": 160}
     sizes |= {"factorial": 60, "factorial-constraints": 80}
     sizes |= dict.fromkeys(("multi-sequence", "open-door", "sensor"), 10)
-    sizes |= {"robots": 180, "place-task-mirrored": 60}
+    sizes |= {"robots": 180, "place-task-mirrored": 60, "peers": 30}
     sizes |= {"sensor-robustness": len(SCENES) * len(variants())}
     assert last + 1 == sizes.get(suite, 50)
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
