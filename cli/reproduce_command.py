@@ -22,16 +22,8 @@ from paper_tables.suite_tables import render_directory
 
 ALL = "all"
 HISTOGRAM = ("histogram", 12)  # the figure that is part of all, and of how many problems
-FIXED = (
-    "problems",
-    "problems_dir",
-    "seeds",
-    "planners",
-    "model",
-    "cutoff",
-    "iterations",
-    "optimize",
-)  # in all
+FIXED = ("problems", "problems_dir", "seeds", "planners", "model", "cutoff", "iterations", "optimize")
+"""Options that profiles of all suites decide."""
 EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",

@@ -34,11 +34,8 @@ from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
-CONFINED, SPREAD, NEARBY = (
-    32,
-    0.25,
-    12,
-)  # ends of links among obstacles; [rad] and number of configurations around each
+CONFINED = 32  # ends of links among obstacles
+SPREAD, NEARBY = 0.25, 12  # [rad] and number of the configurations around each that tell so
 NEIGHBOURS = 12  # of a node of a roadmap without dictionary
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16

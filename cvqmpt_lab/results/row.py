@@ -132,9 +132,8 @@ class ResultRow:
     # Whether all that is computed from the scene's cloud was computed in this run: `t_encode_s`, a part of `t_total_s`,
     # is then what a new scene costs, and `t_total_s` without it the time where the scene is known.
     scene_new: bool | None = None
-    n_clearances: int | None = (
-        None  # states whose clearance was read from a distance field: approximate checks
-    )
+    # States whose clearance was read from a distance field: approximate checks.
+    n_clearances: int | None = None
     # Wall clock around `pipeline.solve` up to the path, shortened: all but goals, clouds, `t_improve_s`, certificate.
     t_wall_s: float | None = None
 
