@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("suite", nargs="?", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
     folder = "or a folder of problem files (*.json), by their names; the suite is called like the folder"
     add("--problems-dir", type=Path, metavar="DIR", help=folder)
-    hours = "on two cores a night, an hour, ten minutes (full)"
-    add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {hours}")
+    takes = "on two cores about two hours, three minutes (full)"
+    add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {takes}")
     add("--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)")
     add("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
     add(
@@ -93,7 +93,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
     if given:
         raise InvalidInputError(
-            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile hour or small runs "
+            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
             "less, or name one suite"
         )
     chosen, out, jobs = amounts(args.profile), args.out or Path("runs/all"), args.jobs or default_jobs()

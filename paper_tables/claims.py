@@ -16,7 +16,7 @@ from paper_tables.statements import CLAIMS, PREDICTED, Claim, Statement
 from paper_tables.suite_tables import table_of
 
 HISTOGRAM_VALUES = "values.csv"
-JUDGING = ("hour", "full")  # profiles of `cvqmpt reproduce all` with runs enough for verdicts
+JUDGING = ("full",)  # profiles of `cvqmpt reproduce all` with runs enough for verdicts
 
 
 class Evidence(NamedTuple):
@@ -97,7 +97,7 @@ def banner(found: Mapping[str, Evidence]) -> str:
         return ""
     return (
         f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, short budgets, "
-        "wide intervals. Verdicts of the paper need the profile hour or full."
+        "wide intervals. Verdicts of the paper need the profile full."
     )
 
 

@@ -33,7 +33,8 @@ from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
 from experiments.suites.family_task import PANDA, upright_problem
 from experiments.suites.place_task import DOOR, DOOR_ANGLE, UnsolvableProblem
 
-SCENES = range(10)
+SCENES = range(30)
+VARIED_SCENES = range(10)  # whose sensing is varied
 FIRST_TABLE = 3000  # scene numbers that no other suite uses
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {"cracker_box": (CRACKER_BOX, 0.287), "mustard": (MUSTARD_BOTTLE, 0.262), "can": (CAN, 0.271)}
@@ -196,7 +197,7 @@ def variants() -> tuple[Sensing, ...]:
     return (default, *others)
 
 
-VARIED_PROBLEMS = range(len(SCENES) * len(variants()))
+VARIED_PROBLEMS = range(len(VARIED_SCENES) * len(variants()))
 
 
 def setting(sensing: Sensing) -> str:
@@ -207,7 +208,7 @@ def setting(sensing: Sensing) -> str:
 
 def robustness_problem(index: int) -> SensedProblem | UnsolvableProblem:
     """Variant index // 10 of scene index % 10; its rows are named like a phase, by scene and setting."""
-    sensing, number = variants()[index // len(SCENES)], index % len(SCENES)
+    sensing, number = variants()[index // len(VARIED_SCENES)], index % len(VARIED_SCENES)
     item = sensor_problem(number, sensing)
     name = phase_problem(str(index), number + 1, setting(sensing))
     if isinstance(item, UnsolvableProblem):

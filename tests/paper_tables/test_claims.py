@@ -69,7 +69,7 @@ def test_a_small_profile_is_named(tmp_path):
     results = a_results_folder(tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, birrt=3.0)
     path = next(results.glob(f"*/{PROVENANCE_FILE}"))
     record = json.loads(path.read_text())
-    for profile, warned in (("small", True), ("hour", False)):
+    for profile, warned in (("small", True), ("full", False)):
         command = ["cvqmpt", "reproduce", "all", "--profile", profile]
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
