@@ -4,12 +4,13 @@ Between its points a trajectory is the cubic through positions and velocities, a
 Where accelerations are stated, a controller may take the quintic through these too: then both curves are judged.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from cvqmpt_lab.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.exact import reach_with
@@ -18,6 +19,9 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory_files import Motion
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly  # half a second to import, needed for trajectories alone
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
@@ -94,6 +98,8 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
             raise InvalidInputError(f"a value of {what} is not finite")
     if len(motion.times) < 2 or motion.times[0] < 0.0 or not (np.diff(motion.times) > 0.0).all():
         raise InvalidInputError("times must begin at 0 or later and increase, at two points or more")
+    from scipy.interpolate import PPoly
+
     times = motion.times - motion.times[0]
     h = np.diff(times)[:, None]
     with np.errstate(all="ignore"):  # what overflows is refused by `_moments`

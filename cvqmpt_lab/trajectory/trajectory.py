@@ -4,17 +4,21 @@ Files leave accelerations out: a controller then follows the cubics through posi
 certified. With accelerations, which jump between pieces, ROS's would follow quintics that exceed them by up to 75 %.
 """
 
+from __future__ import annotations
+
 import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import write_text
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline  # half a second to import
 
 
 class JointState(NamedTuple):
@@ -56,7 +60,7 @@ class Trajectory:
         position, velocity, acceleration = self._motion
         return JointState(position(inside), moving * velocity(inside), moving * acceleration(inside))
 
-    def sampled(self, period: float) -> "Trajectory":
+    def sampled(self, period: float) -> Trajectory:
         """The same motion at even times, at most period [s] apart, ends included."""
         if not (np.isfinite(period) and period > 0.0):
             raise InvalidInputError(f"sampling period {period}: give seconds above 0, such as 0.01")
@@ -66,6 +70,8 @@ class Trajectory:
     @cached_property
     def _motion(self) -> tuple[CubicHermiteSpline, CubicHermiteSpline, CubicHermiteSpline]:
         """Cubic pieces through positions and velocities, as a robot's controller interpolates, and derivatives."""
+        from scipy.interpolate import CubicHermiteSpline
+
         spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
         return spline, spline.derivative(1), spline.derivative(2)
 
