@@ -46,11 +46,16 @@ class JudgedClaim(NamedTuple):
 
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
-    """Every claim by results directories, by name; one correction for the tests of all claims."""
+    """Every claim by results directories, by name; one correction for the tests of all claims.
+
+    Rows of a profile that is too small for verdicts rule nothing: all that is compared has too few runs.
+    """
     measured = [
         [effect for said in claim.statements for effect in _effects(said, found.get(claim.suite))]
         for claim in CLAIMS
     ]
+    if profiles(found):
+        measured = [[effect._replace(p=None) for effect in effects] for effects in measured]
     ruled = iter(rulings([effect for effects in measured for effect in effects]))
     return [
         JudgedClaim(claim, tuple(Verdict(effect, next(ruled)) for effect in effects), found.get(claim.suite))
@@ -97,7 +102,7 @@ def banner(found: Mapping[str, Evidence]) -> str:
         return ""
     return (
         f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, short budgets, "
-        "wide intervals. Verdicts of the paper need the profile full."
+        "wide intervals. Verdicts of the paper need --profile full."
     )
 
 

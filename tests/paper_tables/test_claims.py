@@ -66,7 +66,7 @@ def test_every_step_is_against_the_one_before(tmp_path):
 
 
 def test_a_small_profile_is_named(tmp_path):
-    results = a_results_folder(tmp_path, cvq_mpt=1.0, opt_cvq_mpt=1.0, birrt=3.0)
+    results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0, mpnet=3.0)
     path = next(results.glob(f"*/{PROVENANCE_FILE}"))
     record = json.loads(path.read_text())
     for profile, warned in (("small", True), ("full", False)):
@@ -74,6 +74,7 @@ def test_a_small_profile_is_named(tmp_path):
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
         assert ("--profile small" in page_text(found, judged_claims(found), results)) is warned
+        assert by_title(results)["twice as fast"].ruling is (Ruling.TOO_FEW if warned else Ruling.HOLDS)
         assert ("--profile small" in report_html(evidence_of(results))) is warned
 
 
