@@ -73,7 +73,8 @@ def blocked_pair(
 
 # Nine arms: between two random upright hand poses, upright all the way, in scenes of every family.
 ROBOT_PROBLEMS = range(20)
-FIRST_ROBOT_SCENE = 2000  # numbers that no other suite uses
+FIRST_ROBOT_SCENE = 2000  # 2000 to 2399 are numbers that no other suite uses
+SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
 ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "panda": PANDA,
@@ -97,11 +98,18 @@ def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the goal's pose."""
-    problem = family_problem(
-        ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], FIRST_ROBOT_SCENE + index, ROBOTS[robot]
-    )
-    if isinstance(problem, UnsolvableProblem):
-        return replace(problem, name=str(index))
-    there = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.zeros((6, 2)))
-    return replace(problem, name=str(index), goals=np.empty((0, problem.robot.dof)), goal_region=there)
+    """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the goal's pose.
+
+    Its scene is the first that allows a problem of the numbers 2000 + index, 2020 + index, ... of its family.
+    """
+    family = ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)]
+    for draw in range(SCENES_DRAWN):
+        number = FIRST_ROBOT_SCENE + index + draw * len(ROBOT_PROBLEMS)
+        problem = family_problem(family, number, ROBOTS[robot])
+        if isinstance(problem, PlanningProblem):
+            there = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.zeros((6, 2)))
+            return replace(
+                problem, name=str(index), goals=np.empty((0, problem.robot.dof)), goal_region=there
+            )
+        reason = problem.reason
+    return UnsolvableProblem(str(index), f"{reason}, the last of {SCENES_DRAWN} scenes")

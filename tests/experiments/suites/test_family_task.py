@@ -8,7 +8,9 @@ from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.family_task import ROBOTS, family_problem
+from experiments.suites import family_task
+from experiments.suites.family_task import ROBOTS, family_problem, other_robot_problem
+from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.suite import suite_named
 
 
@@ -27,6 +29,34 @@ def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
     np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
     upright = [problem.robot.pose(q)[2, 0] for q in solution.simplified.path.states]
     assert min(upright) > np.cos(0.2)
+
+
+@pytest.mark.parametrize(
+    ("robot", "index", "family", "number"),
+    [("panda", 1, "table", 2001), ("z1", 5, "table", 2105), ("panda", 19, "kitchen-like", 2039)],
+)
+def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(robot, index, family, number):
+    problem, expected = other_robot_problem(robot, index), family_problem(family, number, ROBOTS[robot])
+    assert problem.scene.name.endswith(f"_{number}")
+    np.testing.assert_array_equal(problem.start, expected.start)
+    np.testing.assert_array_equal(problem.goal_region.T0_w, problem.robot.pose(expected.goals[0]))
+    assert all(
+        isinstance(family_problem(family, k, ROBOTS[robot]), UnsolvableProblem)
+        for k in range(2000 + index, number, 20)
+    )
+
+
+def test_a_robot_without_a_problem_in_all_scenes_is_reported_in_one_line(monkeypatch):
+    tried = []
+
+    def none(family, number, robot_source):
+        tried.append(number)
+        return UnsolvableProblem(str(number), f"nothing in {family} {number}")
+
+    monkeypatch.setattr(family_task, "family_problem", none)
+    found = other_robot_problem("ur5", 3)
+    assert found == UnsolvableProblem("3", "nothing in kitchen-like 2383, the last of 20 scenes")
+    assert tried == list(range(2003, 2400, 20))
 
 
 @pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
