@@ -27,6 +27,7 @@ from cvqmpt_lab.robot.urdf import Urdf
 
 SAMPLES = 2000  # random configurations
 GAP = 0.01  # [m] a pair that may come so near is checked
+CONTACT = 1e-6  # [m] of an overlap: at 0 coal calls hulls free that are 1.3 mm deep in each other, by where GJK begins
 ALWAYS = 0.95  # share of them in which two hulls overlap "always": because of their shapes, not of the configuration
 SPREAD = 0.15  # by which the share among `CHUNK` of them may be smaller: five standard deviations
 CHUNK = 50  # configurations after which pairs that are decided are dropped
@@ -156,7 +157,7 @@ def found_pairs(
         seen = sampling.close([pair for pair in pairs if pair in undecided], rows, GAP)
         often -= {pair for pair, hits in seen.items() if hits.mean() < ALWAYS - SPREAD}
         apart -= {pair for pair, hits in seen.items() if hits.any()}
-    touching = sampling.close([pair for pair in pairs if pair in often], np.arange(SAMPLES), 0.0)
+    touching = sampling.close([pair for pair in pairs if pair in often], np.arange(SAMPLES), CONTACT)
     for pair, hits in touching.items():
         if hits.mean() >= ALWAYS:
             reasons[pair] = f"{OVERLAP}{100.0 * hits.mean():.4g} % of random states"
