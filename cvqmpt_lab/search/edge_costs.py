@@ -10,10 +10,12 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST, DistanceGrid, ball_clearance
+from cvqmpt_lab.collision.distance_grid import NEAREST, DistanceGrid, ball_clearance
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.search.motion import CLEARANCES, Space
+from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
+
+SURE = 18.0  # log odds above which P(free) counts as 1
 
 
 class EdgeCosts(NamedTuple):
@@ -23,7 +25,7 @@ class EdgeCosts(NamedTuple):
     slope: float  # [1/m]
     bias: float  # log odds at clearance 0
     weight: float = 4.0  # [rad] of -log P(free); 0: motions cost their length
-    spacing: float = 0.3  # [rad] between the states whose clearances are read
+    spacing: float = 0.3  # [rad] between the states whose clearances are read; GAP times as much at most
 
 
 @kernel(inline="source")
@@ -44,22 +46,44 @@ def smallest_clearance(space, grid, lowest):
     return lowest
 
 
+@kernel(inline="machine")
+def negative_log(costs, clearance):
+    """-log P(free) of a motion with that smallest clearance [m]."""
+    odds = costs.slope * max(clearance, NEAREST) + costs.bias
+    return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds))) if odds < SURE else 0.0
+
+
+@kernel(inline="machine")
+def readings(costs, length):
+    """How many clearances, a power of two, are read along a motion of that length [rad]."""
+    count = 1
+    while length > GAP * costs.spacing * count:
+        count *= 2
+    return count
+
+
 @entry
-def edge_nll(space: Space, costs: EdgeCosts, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
-    """-log P(free) of the straight motion from a to b (n,); space.state and its scratch are overwritten."""
-    length, lowest = 0.0, FARTHEST
+def reading(
+    space: Space,
+    costs: EdgeCosts,
+    a: Annotated[np.ndarray, "n"],
+    b: Annotated[np.ndarray, "n"],
+    k: int,
+    lowest: float,
+):
+    """The smaller of lowest and reading k of the clearance [m] along the straight motion from a to b (n,).
+
+    It is read at b, then in the middle, at 1/4, 3/4, 1/8, ...; space.state and its scratch are overwritten.
+    """
+    level, place = 1, 1.0
+    while 2 * level <= k:
+        level *= 2
+    if k > 0:
+        place = (2 * (k - level) + 1) / (2 * level)
     for j in range(a.shape[0]):
-        length += (b[j] - a[j]) * (b[j] - a[j])
-    length = np.sqrt(length)
-    pieces = max(int(np.ceil(length / costs.spacing)), 1)
-    for k in range(pieces + 1):
-        if lowest > NEAREST:
-            for j in range(a.shape[0]):
-                space.state[j] = a[j] + k / pieces * (b[j] - a[j])
-            forward_kinematics(
-                space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
-            )
-            lowest = smallest_clearance(space, costs.grid, lowest)
-            space.counters[CLEARANCES] += 1
-    odds = costs.slope * max(lowest, NEAREST) + costs.bias
-    return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds)))
+        space.state[j] = a[j] + place * (b[j] - a[j])
+    forward_kinematics(
+        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
+    )
+    space.counters[CLEARANCES] += 1
+    return smallest_clearance(space, costs.grid, lowest)

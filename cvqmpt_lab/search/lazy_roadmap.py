@@ -3,17 +3,20 @@
 A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node and edge that
 has not been found blocked. The nodes of the path it returns are projected and checked, then its edges, coarsely;
 what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it. An edge not
-yet checked costs more the less likely it is to be free; that is computed when the search takes the edge, not before.
+yet checked costs more the less likely it is to be free; clearances that tell are read when the search takes the edge,
+one by one, as long as no other edge is cheaper.
 """
 
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.collision.distance_grid import FARTHEST as WIDEST
+from cvqmpt_lab.collision.distance_grid import NEAREST
 from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.search.edge_costs import EdgeCosts, edge_nll
+from cvqmpt_lab.search.edge_costs import EdgeCosts, negative_log, reading, readings
 from cvqmpt_lab.search.motion import (
     Space,
     bisect_motion,
@@ -68,10 +71,11 @@ class Roadmap(NamedTuple):
     node: Annotated[np.ndarray, "int8 rows"]  # verdicts
     penalty: float  # edges at a node cost 1 + penalty * |F| times their length
     longest: float  # [rad] paths that are believed to cost as much or more are not looked for
-    nll: Annotated[np.ndarray, "inner exits"]
-    """-log P(free) of each edge, and of those to each goal, where they were computed."""
-    known: Annotated[np.ndarray, "int8 inner exits"]
-    """One more than how many of an edge's ends were on the manifold when its nll was computed; 0: not yet."""
+    clearance: Annotated[np.ndarray, "rows"]  # [m] of nodes; inf: not yet read
+    lowest: Annotated[np.ndarray, "inner exits"]
+    """Smallest clearance [m] read so far along each edge, and along those to each goal."""
+    known: Annotated[np.ndarray, "int32 inner exits"]
+    """4 times how many clearances were read along an edge, plus `_state` of its ends at that time."""
     factor: Annotated[np.ndarray, "rows"]  # >= 1, how much longer edges at a node count; 0: not yet computed
     to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
     cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
@@ -79,9 +83,7 @@ class Roadmap(NamedTuple):
     slot: Annotated[np.ndarray, "int32 rows"]  # edge by which each row was reached
     closed: Annotated[np.ndarray, "int8 rows"]  # rows that are done
     heap: Annotated[np.ndarray, "queue"]  # costs in the queue
-    heap_edge: Annotated[
-        np.ndarray, "int32 queue"
-    ]  # their edges: 2 (row * exits + slot), and 1 with -log P(free)
+    heap_edge: Annotated[np.ndarray, "int32 queue"]  # their edges: row * exits + slot
 
 
 @entry
@@ -162,11 +164,33 @@ def _factor(space, roadmap, i):
 
 
 @kernel
+def _read_node(space, roadmap, costs, i):
+    """Read the clearance at node i, once for each place that it lies at."""
+    if roadmap.clearance[i] == np.inf:
+        roadmap.clearance[i] = reading(space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, WIDEST)
+
+
+@kernel(inline="source")
+def _read_edge(space, roadmap, costs, row, slot, there):
+    """Read the next clearance along an edge; by how much its -log P(free) grows."""
+    before, k = roadmap.lowest[row, slot], roadmap.known[row, slot] // 4
+    lowest = before
+    if k == 0:
+        _read_node(space, roadmap, costs, there)
+        lowest = min(before, roadmap.clearance[there])
+    elif before > NEAREST:
+        lowest = reading(space, costs, roadmap.nodes[row], roadmap.nodes[there], k, before)
+    roadmap.lowest[row, slot] = lowest
+    roadmap.known[row, slot] += 4
+    return negative_log(costs, lowest) - negative_log(costs, before)
+
+
+@kernel
 def _astar(space, roadmap, costs):
     """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the path.
 
-    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length, and is judged when
-    it comes out of it.
+    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length and what is known of
+    its clearance. When it comes out, clearances along it are read, as many as it takes until another edge is cheaper.
     """
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
     start, exits, size = roadmap.nodes.shape[0] - 1 - goals, k + goals, 0
@@ -174,6 +198,8 @@ def _astar(space, roadmap, costs):
         roadmap.cost[i], roadmap.parent[i], roadmap.closed[i] = np.inf, -1, 0
     here, roadmap.cost[start], roadmap.closed[start] = start, 0.0, 1
     while 0 <= here <= start:
+        if costs.weight > 0.0:
+            _read_node(space, roadmap, costs, here)
         for slot in range(exits):
             there = np.int64(roadmap.neighbours[here, slot]) if slot < k else start + 1 + slot - k
             verdict = roadmap.edge[here, slot] if slot < k else roadmap.goal_edge[here, slot - k]
@@ -183,45 +209,49 @@ def _astar(space, roadmap, costs):
             if roadmap.cost[here] + length >= roadmap.cost[there]:
                 continue
             weight = 0.5 * (_factor(space, roadmap, here) + _factor(space, roadmap, there))
-            cost, state = roadmap.cost[here] + weight * length, _state(roadmap, here, there)
-            judged = costs.weight == 0.0 or verdict == FREE or roadmap.known[here, slot] == state
-            if judged and verdict != FREE and costs.weight > 0.0:
-                cost += costs.weight * roadmap.nll[here, slot]
+            cost, judged = roadmap.cost[here] + weight * length, verdict == FREE or costs.weight == 0.0
+            if not judged:
+                state = _state(roadmap, here, there)
+                if roadmap.known[here, slot] % 4 != state:
+                    roadmap.known[here, slot], roadmap.lowest[here, slot] = state, roadmap.clearance[here]
+                lowest = min(roadmap.lowest[here, slot], roadmap.clearance[there])
+                roadmap.lowest[here, slot] = lowest
+                cost += costs.weight * negative_log(costs, lowest)
+                judged = roadmap.known[here, slot] // 4 >= readings(costs, length)
             hopeful = cost < roadmap.cost[there] and cost + roadmap.to_go[there] < roadmap.longest
             if hopeful and size < roadmap.heap.shape[0]:
                 if judged:
                     roadmap.cost[there] = cost
-                push(
-                    roadmap.heap,
-                    roadmap.heap_edge,
-                    size,
-                    cost + roadmap.to_go[there],
-                    2 * (here * exits + slot) + judged,
-                )
+                push(roadmap.heap, roadmap.heap_edge, size, cost + roadmap.to_go[there], here * exits + slot)
                 size += 1
         here = -1
         while size > 0 and here < 0:
             key, edge = roadmap.heap[0], np.int64(roadmap.heap_edge[0])
             drop_smallest(roadmap.heap, roadmap.heap_edge, size)
             size -= 1
-            row, slot, judged = edge // 2 // exits, edge // 2 % exits, edge % 2 == 1
+            row, slot = edge // exits, edge % exits
             there = np.int64(roadmap.neighbours[row, slot]) if slot < k else start + 1 + slot - k
             if roadmap.closed[there]:
                 continue
-            cost = key - roadmap.to_go[there]
-            if not judged:
-                roadmap.known[row, slot] = _state(roadmap, row, there)
-                roadmap.nll[row, slot] = edge_nll(space, costs, roadmap.nodes[row], roadmap.nodes[there])
-                cost += costs.weight * roadmap.nll[row, slot]
+            verdict = roadmap.edge[row, slot] if slot < k else roadmap.goal_edge[row, slot - k]
+            cost, left, cheapest = key - roadmap.to_go[there], 0, True
+            if verdict != FREE and costs.weight > 0.0:
+                left = readings(costs, distance(roadmap.nodes[row], roadmap.nodes[there]))
+                left -= roadmap.known[row, slot] // 4
+            while cheapest and left > 0:
+                left -= 1
+                cost += costs.weight * _read_edge(space, roadmap, costs, row, slot, there)
                 if cost >= roadmap.cost[there] or cost + roadmap.to_go[there] >= roadmap.longest:
+                    cheapest = False
                     continue
-                roadmap.cost[there] = cost
+                if left == 0:
+                    roadmap.cost[there] = cost
                 if size > 0 and roadmap.heap[0] < cost + roadmap.to_go[there]:
-                    push(roadmap.heap, roadmap.heap_edge, size, cost + roadmap.to_go[there], edge + 1)
-                    size += 1
-                    continue
-            here, roadmap.cost[there], roadmap.closed[there] = there, cost, 1
-            roadmap.parent[there], roadmap.slot[there] = row, slot
+                    push(roadmap.heap, roadmap.heap_edge, size, cost + roadmap.to_go[there], edge)
+                    size, cheapest = size + 1, False
+            if cheapest:
+                here, roadmap.cost[there], roadmap.closed[there] = there, cost, 1
+                roadmap.parent[there], roadmap.slot[there] = row, slot
     return here
 
 
@@ -232,6 +262,7 @@ def _node_free(space, roadmap, i, drift):
         for j in range(roadmap.nodes.shape[1]):
             space.state[j] = roadmap.nodes[i, j]
         free = project_state(space, roadmap.nodes[i]) and distance(space.state, roadmap.nodes[i]) <= drift
+        roadmap.clearance[i] = np.inf
         roadmap.node[i] = FREE if free and state_valid(space, roadmap.nodes[i]) else BLOCKED
     return roadmap.node[i] == FREE
 
@@ -302,7 +333,7 @@ def search(
             return NO_PATH, 0, searched + 1
         good = True
         for i in range(length - 2, 0, -1):
-            if good and not _node_free(space, roadmap, path[i], drift):
+            if not _node_free(space, roadmap, path[i], drift):  # all of them: cheaper than another search
                 good = False
         if not good:
             continue

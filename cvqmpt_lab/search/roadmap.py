@@ -84,7 +84,7 @@ class RoadmapSettings:
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
     searches: int = 40  # at most; each ends at a path, or at the first edge that turns out blocked
     greed: float = (
-        1.7  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
+        4.0  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
     )
     step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
 
@@ -148,8 +148,9 @@ class RoadmapQuery:
             node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
             penalty=settings.penalty,
             longest=self._longest,
-            nll=np.empty((count + 1, neighbours.shape[1] + len(goals))),
-            known=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int8),
+            clearance=np.full(total, np.inf),
+            lowest=np.empty((count + 1, neighbours.shape[1] + len(goals))),
+            known=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int32),
             factor=np.zeros(total),
             to_go=np.empty(total),
             cost=np.empty(total),
@@ -181,7 +182,8 @@ class RoadmapQuery:
         verdict = np.concatenate([before.node[:count], np.full(len(added), kernels.UNKNOWN, dtype=np.int8)])
         self._set_up(nodes, table, verdict)
         self._graph.edge[:count] = before.edge[:count]
-        self._graph.factor[:count] = before.factor[:count]
+        for kept in ("factor", "clearance", "lowest", "known"):
+            getattr(self._graph, kept)[:count] = getattr(before, kept)[:count]
 
     def avoid(self, known: "RoadmapQuery") -> None:
         """Leave out what another query, of the same nodes, found blocked."""

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.search.edge_costs import edge_nll
-from cvqmpt_lab.search.lazy_roadmap import nearest_nodes
+from cvqmpt_lab.search.edge_costs import reading, readings
+from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.query import Deadline, GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
@@ -94,14 +95,45 @@ def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
 
 
+def nll_of(space, costs, a, b, lowest=FARTHEST):
+    """-log P(free) by all readings from a to b."""
+    lowest = reading(space.arrays, costs, b, a, 0, lowest)
+    for k in range(readings.py_func(costs, np.linalg.norm(b - a))):
+        lowest = reading(space.arrays, costs, a, b, k, lowest)
+    return np.logaddexp(0.0, -costs.slope * max(lowest, NEAREST) - costs.bias)
+
+
 def test_edges_cost_more_the_less_likely_they_are_free(problem, roadmap):
     space = ConstrainedSpace(replace(problem, constraint=()))
     motions = np.stack([roadmap.nodes[:400], roadmap.nodes[roadmap.neighbours[:400, 0]]], axis=1)
     free = np.array([space.valid(a) and motion_free(space.arrays, a, b) for a, b in motions])
     costs = scene_costs(space)
-    nll = np.array([edge_nll(space.arrays, costs, *motion) for motion in motions])
+    nll = np.array([nll_of(space, costs, *motion) for motion in motions])
     assert (nll[free][:, None] < nll[~free]).mean() > 0.95  # the area under the curve
     assert np.exp(-nll).mean() == pytest.approx(free.mean(), abs=0.08)
+
+
+def test_edges_read_to_their_end_cost_what_the_whole_motion_does(problem, roadmap):
+    space, query, deadline = query_of(problem, roadmap)
+    query.next_path(deadline)
+    graph, costs = query._graph, scene_costs(space)
+    free = graph.node == FREE
+    whole = part = 0
+    for row, slot in np.argwhere(graph.known[:, : graph.neighbours.shape[1]] > 0):
+        there = graph.neighbours[row, slot]
+        read, state = divmod(int(graph.known[row, slot]), 4)
+        if state != 1 + free[row] + free[there] or BLOCKED in graph.node[[row, there]]:
+            continue  # an end has moved since
+        a, b = graph.nodes[row], graph.nodes[there]
+        nll = nll_of(space, costs, a, b)
+        believed = np.logaddexp(0.0, -costs.slope * max(graph.lowest[row, slot], NEAREST) - costs.bias)
+        if read >= readings.py_func(costs, np.linalg.norm(b - a)):
+            whole += 1
+            assert believed == pytest.approx(nll, abs=1e-6)
+        else:
+            part += 1
+            assert believed <= nll + 1e-6
+    assert whole > 0 and part > 20
 
 
 def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):
@@ -114,7 +146,8 @@ def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):
     np.testing.assert_array_equal(after.nodes[:count], before.nodes[:count])
     np.testing.assert_array_equal(after.nodes[count : count + 40], added)
     np.testing.assert_array_equal(after.node[:count], before.node[:count])
-    np.testing.assert_array_equal(after.edge[:count], before.edge[:count])
+    for kept in ("edge", "clearance", "lowest", "known"):
+        np.testing.assert_array_equal(getattr(after, kept)[:count], getattr(before, kept)[:count])
     links = after.neighbours[count : count + 40]
     assert (links >= 0).all() and (links != np.arange(count, count + 40)[:, None]).all()
     assert ((links < count).sum(axis=1) == 20).all()
