@@ -100,6 +100,11 @@ class PublishedStage(RoadmapStage):
         """The points themselves."""
         return {"points": np.asarray(points, dtype=np.float32)}
 
+    def validate(self) -> dict[str, float | None]:
+        """The same, and the share of scene features that no cloud changes."""
+        constant = self.model.context.env_encoder.constant_features()
+        return super().validate() | {"constant_features": constant}
+
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> Predicted:
         """Logits over codes, start token and goal; and what is free, with the dense loss."""
         scene = self.model.encode_scene(cloud["points"])

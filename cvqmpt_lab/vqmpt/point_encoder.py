@@ -15,6 +15,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import PointCloudConfig, SetAbstractionConfig
 
 PAIRS_AT_ONCE = 1 << 17  # distances held at once: half a megabyte, so that they stay in the cache
+CONSTANT = 1e-6  # variance of a feature below which it tells nothing of its cloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,11 @@ class PointCloudEncoder(nn.Module):
     def forward(self, points: Tensor) -> TokenLevel:
         """Encode clouds (b, n, 3) [m, robot base frame], checked by `require_point_cloud`."""
         return self.sa2_module(self.sa1_module(TokenLevel(points, points)))
+
+    def constant_features(self) -> float:
+        """Share of token features that no cloud changes: their units never get through the ReLU."""
+        variance = self.sa2_module.conv.local_nn[-1][-1].running_var
+        return float((variance < CONSTANT).float().mean())
 
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:

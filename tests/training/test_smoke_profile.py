@@ -53,6 +53,7 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
     assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
     said = capsys.readouterr().out
     assert "validation_no_cloud_cross_entropy_ways" in said and "validation_edge_area_under_curve" in said
+    assert "validation_constant_features" in said
     assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
     assert "solved" in capsys.readouterr().out
 
