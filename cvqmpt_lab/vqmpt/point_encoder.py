@@ -89,7 +89,8 @@ class PointCloudEncoder(nn.Module):
 
     def constant_features(self) -> float:
         """Share of token features that no cloud changes: their units never get through the ReLU."""
-        variance = self.sa2_module.conv.local_nn[-1][-1].running_var
+        variance = [part.running_var for part in self.modules() if isinstance(part, nn.BatchNorm1d)][-1]
+        assert variance is not None
         return float((variance < CONSTANT).float().mean())
 
 
