@@ -88,7 +88,7 @@ SMALL = (
     Amount(CONTROLS_FOLDER, 3, cutoff=2.0, planners=CONTROLLED),
 )
 PROFILES: Mapping[str, tuple[Amount, ...]] = {"full": FULL, "small": SMALL}
-"""What is committed, about two hours on two cores, and a little of it, three minutes."""
+"""What is committed, an hour and a half on two cores, and a little of it, three minutes."""
 
 
 def amounts(profile: str) -> tuple[Amount, ...]:
