@@ -74,6 +74,7 @@ FULL = (
     Amount("robots", seeds=3, cutoff=5.0),
     Amount("sensor", seeds=3, planners=QUICK),
     Amount("sensor-robustness", cutoff=3.0),
+    Amount("open-door"),
     Amount("place-task", seeds=3),
     Amount("multi-sequence"),
 )
