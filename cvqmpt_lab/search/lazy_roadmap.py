@@ -11,8 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.distance_grid import FARTHEST as WIDEST
-from cvqmpt_lab.collision.distance_grid import NEAREST
+from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
@@ -57,7 +56,7 @@ def drop_smallest(keys, values, size):
 
 UNKNOWN, FREE, BLOCKED = range(3)
 NO_PATH = 0  # instead of a number of states
-FARTHEST = np.inf  # [rad] of a motion on the manifold; its neighbours' distance is limited anyway
+UNLIMITED = np.inf  # [rad] of a motion on the manifold; its neighbours' distance is limited anyway
 
 
 class Roadmap(NamedTuple):
@@ -167,7 +166,7 @@ def _factor(space, roadmap, i):
 def _read_node(space, roadmap, costs, i):
     """Read the clearance at node i, once for each place that it lies at."""
     if roadmap.clearance[i] == np.inf:
-        roadmap.clearance[i] = reading(space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, WIDEST)
+        roadmap.clearance[i] = reading(space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, FARTHEST)
 
 
 @kernel(inline="source")
@@ -288,7 +287,7 @@ def _join_nodes(space, roadmap, path, length, ends, states):
         states[0, j] = roadmap.nodes[path[length - 1], j]
     for i in range(length - 2, -1, -1):
         a, b = path[i + 1], path[i]
-        added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], FARTHEST, states[size:])
+        added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], UNLIMITED, states[size:])
         if added == 0:
             _settle_edge(roadmap, a, b, BLOCKED)
             return NO_PATH
