@@ -17,7 +17,7 @@ TABLE = "training"
 CLOUDS = {"own": ("", "-"), "wrong": ("wrong_cloud_", "--"), "none": ("no_cloud_", ":")}
 SHOWN = {"own": "own cloud", "wrong": "another scene's", "none": "no cloud"}
 MEASURES = {"ways": "over the ways on", "all": "over all codes"}
-COLOURS = {"transformer": ("#1f6fb4", "#7fb0dc"), "published": ("#d1662a", "#8c6d1f", "#b8336a")}
+COLOURS = {"transformer": ("#1f6fb4", "#7fb0dc", "#3aa3a0"), "published": ("#d1662a", "#8c6d1f", "#b8336a")}
 Row = Mapping[str, object]
 
 
