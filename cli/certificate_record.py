@@ -54,13 +54,9 @@ def differences(now: dict[str, Any], path: Path) -> dict[str, list[Any]]:
     earlier = read_json_object(path, "certificate")
     for name, what in DIGESTS.items():
         if name not in earlier:
-            raise InvalidInputError(
-                f"certificate {path} has no {name}: give what `cvqmpt certify --json` printed"
-            )
+            raise InvalidInputError(f"certificate {path} has no {name}: give what `cvqmpt certify --json` printed")
         if earlier[name] != now[name]:
-            raise InvalidInputError(
-                f"certificate {path} is of {what}: only two of one motion can be compared"
-            )
+            raise InvalidInputError(f"certificate {path} is of {what}: only two of one motion can be compared")
     old, new = _flat(earlier), _flat(now)
     return {
         name: [old.get(name), new.get(name)]

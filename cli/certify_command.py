@@ -49,15 +49,11 @@ def run(args: argparse.Namespace) -> int:
             raise InvalidInputError("the rows of a run name their problems; give the directory alone")
         return _certify_run(args.path, args.problems_dir, args.json)
     if args.problems_dir:
-        raise InvalidInputError(
-            "--problems-dir goes with the directory of a run; name one file: --problem-file"
-        )
+        raise InvalidInputError("--problems-dir goes with the directory of a run; name one file: --problem-file")
     motion = read_motion(args.path)
     problem = problem_asked(args)
     if not isinstance(problem, PlanningProblem):
-        raise InvalidInputError(
-            f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
-        )
+        raise InvalidInputError(f"suite {args.suite} is of tasks; certify the directory of a run, or one problem")
     current = None if args.current is None else np.array(numbers("--current", args.current))
     found = dry_run(problem, motion, current, args.tolerance)
     contents = record(problem, motion, found)

@@ -16,9 +16,7 @@ EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all --write")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Whose rows."""
-    where = (
-        f"folder of results directories, where {PAGE_NAME} goes (the committed ones, with page and README)"
-    )
+    where = f"folder of results directories, where {PAGE_NAME} goes (the committed ones, with page and README)"
     parser.add_argument("results", type=Path, nargs="?", metavar="DIR", help=where)
     parser.add_argument("--write", action="store_true", help="write the page; without, verdicts are printed")
 

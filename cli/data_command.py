@@ -38,9 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--family", default=",".join(FAMILIES), metavar="A,B", help=family)
     labels = "near-shortest paths, or free nodes and edges of a roadmap, and shortest paths (paths)"
     add("--labels", default="paths", help=f"{' or '.join(LABELS)}: {labels}")
-    dictionary = (
-        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of other arms)"
-    )
+    dictionary = "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of other arms)"
     add("--dictionary", "--model", metavar="DIR", help=dictionary)
     add("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
     add("--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)")

@@ -69,9 +69,7 @@ def run(args: argparse.Namespace) -> int:
             written = run_figure.compare_at_equal_time(out, args.problems, command)
         else:
             problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
-            updates, written = run_figure.reproduce_figure(
-                args.figure, out, command, problems, args.model, settings
-            )
+            updates, written = run_figure.reproduce_figure(args.figure, out, command, problems, args.model, settings)
             print("\n".join(run_figure.summary(updates)))
     for path in written:
         print(f"written {path}")

@@ -46,9 +46,7 @@ def own_command() -> list[str]:
 
 def add_model(parser: argparse.ArgumentParser) -> None:
     """--model."""
-    parser.add_argument(
-        "--model", metavar="DIR", help="folder of the planner's weights (those of the package)"
-    )
+    parser.add_argument("--model", metavar="DIR", help="folder of the planner's weights (those of the package)")
 
 
 def writable_file(path: Path) -> Path:

@@ -64,9 +64,7 @@ LAYOUTS = (
     Layout((0.3, 1.0, 0.8, 0.05), (0.5, 0.4, 0.06, 0.45), (0.5, 0.4, 0.32), 0.12),
     Layout((0.3, 1.0, 0.8, 0.05), (0.6, 0.3, 0.06, 0.3), (0.55, 0.35, 0.25), 0.25),
     Layout((0.2, 1.0, 0.8, 0.05), (0.6, 0.1, 0.06, 0.2), (0.5, 0.3, 0.3), 0.5),
-    Layout(
-        (0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0
-    ),  # a post; anywhere beside it
+    Layout((0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0),  # a post; anywhere beside it
 )
 
 
@@ -155,9 +153,7 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
     return {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
 
 
-def _ends(
-    robot: Robot, scene: Scene, layout: Layout, top: float, axis: str
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _ends(robot: Robot, scene: Scene, layout: Layout, top: float, axis: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pairs of free configurations (n,) on the manifold, on both sides of the wall, the calmest first."""
     checker, reach, origin = (
         CollisionChecker(robot, scene, margin=SAMPLE_MARGIN),

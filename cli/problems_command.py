@@ -96,9 +96,7 @@ def _import(args: argparse.Namespace) -> int:
     write_text(writable_file(path), to_text(to_plain(scene)) + "\n")
     seen = f"frame {frame!r}" if frame else "the file's frame"
     print(f"{path} written: {len(scene.objects)} objects; {seen} is taken for the robot's base frame")
-    print(
-        f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start Q --goal Q'
-    )
+    print(f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start Q --goal Q')
     return 0
 
 

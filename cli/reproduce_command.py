@@ -93,8 +93,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
     if given:
         raise InvalidInputError(
-            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
-            "less, or name one suite"
+            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs less, or name one suite"
         )
     chosen, out, jobs = amounts(args.profile), args.out or Path("runs/all"), args.jobs or default_jobs()
     compile_kernels(log)

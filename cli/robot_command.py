@@ -95,9 +95,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "held_joints": [{"name": j.name, "value": j.value, "reason": j.reason} for j in robot.held_joints],
         "frames": list(robot.frame_names),
         "collision_pieces": [{"name": p.name, "corners": len(p.vertices)} for p in robot.links],
-        "self_collision_pairs": [
-            [robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs
-        ],
+        "self_collision_pairs": [[robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs],
         "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
         "share_free_of_self_collision": float(1.0 - collide.mean()),
     }

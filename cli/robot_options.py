@@ -132,9 +132,7 @@ def with_clearance(args: argparse.Namespace, problem: PlanningProblem | Task) ->
     if not args.clearance:
         return problem
     if isinstance(problem, Task):
-        raise InvalidInputError(
-            "--clearance does not go with a task, whose hand touches things; leave it out"
-        )
+        raise InvalidInputError("--clearance does not go with a task, whose hand touches things; leave it out")
     return replace(problem, clearance=args.clearance)
 
 

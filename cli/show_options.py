@@ -33,9 +33,7 @@ def check_show(args: argparse.Namespace) -> None:
         writable_file(path)
     if args.save is not None and args.save.suffix not in (PAGE, RECORDING):
         if args.save.suffix not in FILMS:
-            raise UnknownChoiceError(
-                f"--save {args.save}: suffix", args.save.suffix, (PAGE, RECORDING, *FILMS)
-            )
+            raise UnknownChoiceError(f"--save {args.save}: suffix", args.save.suffix, (PAGE, RECORDING, *FILMS))
         from cvqmpt_lab.show.film import check_film
 
         check_film(args.save)
@@ -45,9 +43,7 @@ def check_show(args: argparse.Namespace) -> None:
         check_viewer()
 
 
-def show_solution(
-    args: argparse.Namespace, solution: Solution, carried: tuple[Attachment, ...] = ()
-) -> list[str]:
+def show_solution(args: argparse.Namespace, solution: Solution, carried: tuple[Attachment, ...] = ()) -> list[str]:
     """Write and open what was asked for; a line for each.
 
     carried: what the hand is shown with where the problem does not model it.

@@ -18,9 +18,7 @@ COMMENT = [
     "Planned phases: move (the hand into a region), slide (along the hand's z), turn (a held door or drawer).",
     "Between them: hold (a door or drawer), grasp (an object), release; `gripper` has fields of the robot that change.",
 ]
-JOINT = (
-    "A drawer or door: the objects it moves, and its axis, the z of T_world_joint; a hinge turns about it."
-)
+JOINT = "A drawer or door: the objects it moves, and its axis, the z of T_world_joint; a hinge turns about it."
 TOUCH = "May touch: pieces of the robot (`cvqmpt robot panda --json`) and parts of the drawer, from then on."
 CHAIN = [
     "How the hand holds the part: a region as in a problem file, whose frame w hangs on the moving object `base`.",

@@ -133,9 +133,7 @@ def _train_edge_model(args: argparse.Namespace, metadata: dict) -> int:
         metadata=metadata,
         on_progress=ProgressBar(args.stage),
     )
-    print(
-        f"{'arm':16} {'clearances in':13} {'model':18} AUC, median of scenes  of all edges  calibration error"
-    )
+    print(f"{'arm':16} {'clearances in':13} {'model':18} AUC, median of scenes  of all edges  calibration error")
     for row in rows:
         start = f"{row['robot']:16} {row['source']:13} {row['model']:18}"
         print(f"{start} {row['area']:22.4f} {row['area_of_all']:13.4f} {row['error']:18.3f}")

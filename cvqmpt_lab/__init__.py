@@ -51,9 +51,7 @@ __all__ = list(_HOME)
 def __getattr__(name: str) -> Any:
     """Import a public name from where it lives."""
     if name not in _HOME:
-        raise AttributeError(
-            f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_HOME)}"
-        )
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_HOME)}")
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
 
 

@@ -55,9 +55,7 @@ def make_folder(path: Path) -> Path:
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidInputError(
-            f"cannot make folder {path}: {error.strerror}; choose a writable one"
-        ) from error
+        raise InvalidInputError(f"cannot make folder {path}: {error.strerror}; choose a writable one") from error
     return Path(path)
 
 

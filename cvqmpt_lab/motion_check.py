@@ -90,9 +90,7 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
     assert motion.times is not None
     q, v, a = motion.positions, motion.velocities, motion.accelerations
     if v is None:
-        raise InvalidInputError(
-            "a trajectory needs velocities at its times; leave the times out to judge the path"
-        )
+        raise InvalidInputError("a trajectory needs velocities at its times; leave the times out to judge the path")
     for what, values in (("time", motion.times), ("velocity", v), ("acceleration", a)):
         if values is not None and not np.isfinite(values).all():
             raise InvalidInputError(f"a value of {what} is not finite")
@@ -143,9 +141,7 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
     return np.concatenate([*cuts, curve.x[-1:]])
 
 
-def _limit_faults(
-    curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
-) -> Iterator[Fault]:
+def _limit_faults(curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray) -> Iterator[Fault]:
     """The joint most above its limit, of velocity and acceleration: on a curve at SHARES, and as stated."""
     for order, kind, unit, limit in (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
@@ -178,9 +174,7 @@ def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> list[F
     return faults
 
 
-def _start_fault(
-    problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float
-) -> list[Fault]:
+def _start_fault(problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float) -> list[Fault]:
     if current.shape != first.shape or not np.isfinite(current).all():
         raise InvalidInputError(
             f"current configuration of {len(current)} values: give {len(first)} finite numbers, one each for "

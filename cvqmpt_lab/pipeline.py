@@ -42,9 +42,7 @@ class Solution(Pictured):
     observe_seconds: float = 0.0  # of rendering or reading the cloud [s]; charged to nobody
     wall_seconds: float | None = None  # of the whole call up to the path, without goals and cloud [s]
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
-    distribution: SamplingDistribution | None = (
-        None  # that the search drew from; None where it drew from none
-    )
+    distribution: SamplingDistribution | None = None  # that the search drew from; None where it drew from none
 
     def __repr__(self) -> str:
         plan, path, sure = self.plan, self.simplified and self.simplified.path, self.certificate
@@ -101,9 +99,7 @@ def solve(
     called = time.perf_counter()
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
-        plan = no_plan(
-            PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
-        )
+        plan = no_plan(PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}")
         return Solution(problem, plan, goal_seconds=goal_seconds)
     check_problem(problem)
     require_fit(method, problem)
@@ -134,9 +130,7 @@ def solve(
     if plan.path is not None:
         shorter = _as_is(plan.path) if plan.as_is else simplify(space, plan.path, rng, simplification)
     wall = time.perf_counter() - called - goal_seconds - observation.seconds
-    found = Solution(
-        problem, plan, shorter, None, goal_seconds, observation.seconds, wall, distribution=drawn_from
-    )
+    found = Solution(problem, plan, shorter, None, goal_seconds, observation.seconds, wall, distribution=drawn_from)
     if shorter is None:
         return found
     found = replace(found, certificate=certify(problem, shorter.path, clearance=clearance))

@@ -33,14 +33,10 @@ class Method:
     """A planner by name."""
 
     name: str
-    build: Callable[
-        [PlanningProblem, str], Stages
-    ]  # of a problem's robot and load, and a model, see `stages`
+    build: Callable[[PlanningProblem, str], Stages]  # of a problem's robot and load, and a model, see `stages`
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
     needs_constraint: bool = False
-    needs_charts: bool = (
-        False  # of the manifold, which exist where joints are more than the constraint's bounded rows
-    )
+    needs_charts: bool = False  # of the manifold, which exist where joints are more than the constraint's bounded rows
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
     external: str = ""  # of a planner of others: its distributions and their versions
@@ -255,7 +251,5 @@ def require_fit(method: Method, problem: PlanningProblem) -> None:
     """Refuse a problem that a planner cannot serve: InvalidInputError says why, and which planners can."""
     reason = method.incompatibility(problem)
     if reason:
-        others = [
-            name for name, one in PLANNERS.items() if one.weights is None and not one.incompatibility(problem)
-        ]
+        others = [name for name, one in PLANNERS.items() if one.weights is None and not one.incompatibility(problem)]
         raise InvalidInputError(f"{method.name}: {reason}; planners that can: {', '.join(others)}")

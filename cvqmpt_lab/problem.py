@@ -69,9 +69,7 @@ class RobotForm:
         """An arm by name, or a URDF; either with an articulated object."""
         door = {"anyOf": [{"type": "null"}, of(ArticulatedObject)]}
         kinds = [of(NamedRobot), of(UrdfRobot)]
-        return {
-            "anyOf": [{**kind, "properties": {**kind["properties"], ARTICULATED: door}} for kind in kinds]
-        }
+        return {"anyOf": [{**kind, "properties": {**kind["properties"], ARTICULATED: door}} for kind in kinds]}
 
 
 class GoalsForm(StatesForm):
@@ -102,25 +100,17 @@ class PlanningProblem(Document, Pictured):
     name: Name  # What it is called in results
     robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
     scene: NamedScene  # What it must not touch
-    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")] = field(
-        default_factory=lambda: np.empty(0)
-    )
+    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")] = field(default_factory=lambda: np.empty(0))
     """(n,) [rad or m], drawn from `start_region` if empty."""
     goals: Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty((0, 0))
     )
     """(k, n) [rad or m], drawn from `goal_region` if there are none."""
-    constraint: Annotated[
-        tuple[Region, ...], OneOrMore(Region)
-    ] = ()  # Regions that the end effector must stay in
+    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that the end effector must stay in
     attachments: tuple[Attachment, ...] = ()  # What the hand carries
     goal_region: Region | None = None  # End-effector poses that count as a goal
-    start_region: Region | None = (
-        None  # End-effector poses from which the start is drawn, within the constraint
-    )
-    clearance: Clearance = (
-        0.0  # That robot and what it carries keep from obstacles [m]; planned and certified
-    )
+    start_region: Region | None = None  # End-effector poses from which the start is drawn, within the constraint
+    clearance: Clearance = 0.0  # That robot and what it carries keep from obstacles [m]; planned and certified
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -276,12 +266,9 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
     checker = checker or problem.collision_checker()
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
-            gap = (
-                ", or leave 1 mm between what is carried and what it stands on" if problem.attachments else ""
-            )
+            gap = ", or leave 1 mm between what is carried and what it stands on" if problem.attachments else ""
             raise InvalidProblemError(
-                f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another configuration"
-                f"{gap}"
+                f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another configuration{gap}"
             )
         if np.linalg.norm(problem.manifold.residual(q)) > TOLERANCE:
             raise InvalidProblemError(f"{problem.name}: {_off_manifold(problem, label, q)}")
@@ -310,7 +297,5 @@ def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
                 f"'goal_region' leaves the constraint: the best of {len(goals)} goals in it breaks",
             )
             cure = "move or turn the region, or widen the bound"
-    bounds = [
-        broken_bound(region, displacements(problem.robot, region, states)) for region in problem.constraint
-    ]
+    bounds = [broken_bound(region, displacements(problem.robot, region, states)) for region in problem.constraint]
     return f"{broken} {', '.join(filter(None, bounds)) or 'the constraint by rounding'}; {cure}"

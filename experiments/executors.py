@@ -155,9 +155,7 @@ def dask_cluster(
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InvalidInputError(
-            f"no Dask scheduler answers at {address}: {error}; start one there"
-        ) from error
+        raise InvalidInputError(f"no Dask scheduler answers at {address}: {error}; start one there") from error
     with client:
         threads = client.nthreads()
         if not threads:
@@ -168,16 +166,12 @@ def dask_cluster(
         here = installed()
         for worker, there in client.run(installed, on_error="return").items():
             if isinstance(there, Exception):
-                raise InvalidInputError(
-                    f"{worker} cannot run planners: {there}; install the same cvqmpt-lab there"
-                )
+                raise InvalidInputError(f"{worker} cannot run planners: {there}; install the same cvqmpt-lab there")
             for what in (name for name in here if here[name] != there[name]):
                 raise InvalidInputError(f"{worker} has other {what}; install the same cvqmpt-lab there")
         executor = client.get_executor()
         losses = {KilledWorker: FailReason.WORKER_DIED, MemoryError: FailReason.OUT_OF_MEMORY}
-        yield Executor(
-            len(threads), lambda f, task: executor.submit(_limited, _limit(limit_s, task), f, task), losses
-        )
+        yield Executor(len(threads), lambda f, task: executor.submit(_limited, _limit(limit_s, task), f, task), losses)
 
 
 def _limited(limit_s: float, function: Callable[..., Any], *args: Any) -> Any:

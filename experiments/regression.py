@@ -129,9 +129,7 @@ def _problem(suite: str, index: int) -> PlanningProblem:
     return with_sampled_goals(problem)[0]
 
 
-def measure(
-    cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None
-) -> dict[Case, Values]:
+def measure(cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None) -> dict[Case, Values]:
     """Plan, simplify and certify the cases one by one; on_progress is called with (done, total, last case)."""
     outcomes: dict[Case, Values] = {}
     for case in cases:
@@ -151,9 +149,7 @@ def compare(
 
     Equality on the platform and versions of the expectations, stated bounds elsewhere.
     """
-    pairs = [
-        (case, expected.outcomes[case], new) for case, new in outcomes.items() if case in expected.outcomes
-    ]
+    pairs = [(case, expected.outcomes[case], new) for case, new in outcomes.items() if case in expected.outcomes]
     missing = sorted(outcomes.keys() ^ expected.outcomes.keys())
     differences = [f"{case}: not in both, committed and run" for case in missing]
     other = [name for name in here if here[name] != expected.made_with.get(name)]

@@ -100,9 +100,7 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
     """Rows of an item that was not solved at all; later phases of a task were not reached."""
     names = _phase_problems(item) if isinstance(item, Task) else [item.name]
-    return [
-        run.row(name, FailReason.NOT_REACHED if later else reason, detail) for later, name in enumerate(names)
-    ]
+    return [run.row(name, FailReason.NOT_REACHED if later else reason, detail) for later, name in enumerate(names)]
 
 
 def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:

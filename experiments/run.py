@@ -120,9 +120,7 @@ def _longest(budget: Budget) -> float:
     return by_count if budget.seconds is None else min(budget.seconds, by_count)
 
 
-def executor_for(
-    experiment: Experiment, jobs: int, dask: str | None = None
-) -> AbstractContextManager[Executor]:
+def executor_for(experiment: Experiment, jobs: int, dask: str | None = None) -> AbstractContextManager[Executor]:
     """So many processes on this machine, or the Dask cluster at an address, which must have our code and weights."""
     if jobs < 1:
         raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")

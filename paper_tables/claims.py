@@ -51,8 +51,7 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     Rows of a profile that is too small for verdicts rule nothing: all that is compared has too few runs.
     """
     measured = [
-        [effect for said in claim.statements for effect in _effects(said, found.get(claim.suite))]
-        for claim in CLAIMS
+        [effect for said in claim.statements for effect in _effects(said, found.get(claim.suite))] for claim in CLAIMS
     ]
     if profiles(found):
         measured = [[effect._replace(p=None) for effect in effects] for effects in measured]

@@ -154,11 +154,7 @@ def _note(effect: Effect, ruled: Ruling) -> str:
     """A line of what a verdict rests on, or ""."""
     known = precision(effect) if ruled is Ruling.TOO_FEW else ""
     text = "; ".join(filter(None, (known, effect.note)))
-    return (
-        f"- {effect.statement.planner if effect.baseline == NOTHING else effect.baseline}: {text}\n"
-        if text
-        else ""
-    )
+    return f"- {effect.statement.planner if effect.baseline == NOTHING else effect.baseline}: {text}\n" if text else ""
 
 
 def made_by(evidence: Evidence, root: Path) -> str:
@@ -168,9 +164,7 @@ def made_by(evidence: Evidence, root: Path) -> str:
     commit = ", ".join(dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made))
     folder = evidence.folder.relative_to(root).as_posix()
     where = (
-        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)"
-        if evidence.rows
-        else f"[numbers]({folder}/values.csv)"
+        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)" if evidence.rows else f"[numbers]({folder}/values.csv)"
     )
     return f"`{'` and `'.join(commands)}`: {wall_clock(evidence)}, commit {commit}; {where}\n"
 
@@ -194,9 +188,7 @@ def with_part(text: str, marks: tuple[str, str], part: str) -> str:
     begin, end = marks
     found = re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
     if not found.search(text):
-        raise InvalidInputError(
-            f"the README has no lines {begin!r} and {end!r}; put them where the table goes"
-        )
+        raise InvalidInputError(f"the README has no lines {begin!r} and {end!r}; put them where the table goes")
     return found.sub(lambda _: f"{begin}\n{part}{end}", text)
 
 

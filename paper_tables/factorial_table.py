@@ -73,9 +73,7 @@ class Contrast(NamedTuple):
     def entry(self, runs: SuiteRuns) -> table.Entry:
         """The ratios of the first side's rows to the second's."""
         first, second = (self.side(runs.rows, value) for value in (self.one, self.other))
-        columns = {
-            name: Column(name, "1", partial(self._ratio, second, value)) for name, value in COMPARED.items()
-        }
+        columns = {name: Column(name, "1", partial(self._ratio, second, value)) for name, value in COMPARED.items()}
         return table.entry(self.title, first, runs, columns, suffix="_contrast")
 
     def _ratio(self, second: Rows, value: Value, first: Rows, runs: SuiteRuns) -> Interval:
@@ -114,8 +112,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     runs = table.suite_runs(rows)
     groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
     found = [
-        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
-        for name, own in groups
+        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",)) for name, own in groups
     ]
     contrasts = [item for contrast in CONTRASTS if (item := contrast.entry(runs)).measured["work"].n]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
@@ -131,9 +128,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
             "Failures": table.count_lines(found, "failures"),
             "Notes": [*NOTES, f"By name: {_names()}.", *table.seed_notes(runs)],
         },
-        latex=table.latex_groups(
-            f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines
-        ),
+        latex=table.latex_groups(f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines),
         csv=table.csv_of(suite, [*found, *contrasts]),
         brief=[*table.brief_groups(brief, [1, *range(3, len(lines[0]))]), "", *text_lines(short)],
     )
@@ -163,6 +158,5 @@ def _names() -> str:
     """Products that planners are named after."""
     parts = ({**vars(choice), "planner": name} for name, choice in NAMED.items())
     return ", ".join(
-        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}"
-        for p in parts
+        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}" for p in parts
     )

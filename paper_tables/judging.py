@@ -100,9 +100,7 @@ def effects_of(statement: Statement, rows: Rows, published: Sequence[PublishedVa
     ]
 
 
-def reduction(
-    statement: Statement, baseline: str, pairs: Sequence[Pair], paper: float | None = None
-) -> Effect:
+def reduction(statement: Statement, baseline: str, pairs: Sequence[Pair], paper: float | None = None) -> Effect:
     """By both statistics; p is the larger of theirs, 1 where they lie on different sides."""
     paired = less(geometric_mean_interval([pair.ratio for pair in pairs]))
     means = less(ratio_of_means_interval([(pair.own, pair.other) for pair in pairs]))
@@ -113,9 +111,7 @@ def reduction(
     if len(pairs) < FEWEST:
         return Effect(statement, baseline, paper, paired, means, None, False, f"{len(pairs)} problems")
     logs = t_test([math.log(pair.ratio / tested) for pair in pairs])
-    differences = t_test(
-        [pair.own - tested * pair.other for pair in pairs]
-    )  # Fieller's test of a ratio of means
+    differences = t_test([pair.own - tested * pair.other for pair in pairs])  # Fieller's test of a ratio of means
     above = [(one.estimate or 0.0) > 1.0 - tested for one in (paired, means)]
     said = [_alone(p, side) for p, side in zip((logs, differences), above, strict=True)]
     note = ""
@@ -205,9 +201,7 @@ def _share(statement: Statement, own: Mapping[str, Rows], published: Sequence[Pu
     tested = STATED_SHARE * statement.stated
     p = None if ours.n < FEWEST else score_test(ours, tested)
     note = statement.incomparable or cutoff.note
-    return Effect(
-        statement, NOTHING, statement.stated, ours, UNDEFINED, p, (ours.estimate or 0.0) > tested, note
-    )
+    return Effect(statement, NOTHING, statement.stated, ours, UNDEFINED, p, (ours.estimate or 0.0) > tested, note)
 
 
 def _published(statement: Statement, baseline: str, published: Sequence[PublishedValue]) -> float | None:
@@ -240,9 +234,7 @@ def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
         paper = NOTHING if effect.paper is None else f"{round(sign * effect.paper)}".replace("-", "−")
         p = NOTHING if effect.p is None else "<0.001" if effect.p < 0.001 else f"{effect.p:.3f}"
         numbers = (percent(effect, effect.paired), percent(effect, effect.means))
-        lines.append(
-            [effect.statement.planner, effect.baseline, paper, *numbers, str(effect.paired.n), p, str(ruled)]
-        )
+        lines.append([effect.statement.planner, effect.baseline, paper, *numbers, str(effect.paired.n), p, str(ruled)])
     return lines
 
 

@@ -24,9 +24,7 @@ from cvqmpt_lab.results.statistics import (
 
 REFERENCE = "birrt"  # its work says how hard a problem is; others are compared with it
 HARD_SHARE = 1 / 3
-STATE_CHECK_COST = (
-    3.5e-3  # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
-)
+STATE_CHECK_COST = 3.5e-3  # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
 # Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does more in Python,
 # so this is a lower bound and favours planners that project much.
 PROJECTION_COST = 2e-5
@@ -231,9 +229,7 @@ def split_by_work(reference: Iterable[ResultRow]) -> Split:
 
 
 def _hard_problems(rows: Rows) -> frozenset[str]:
-    efforts = {
-        seeds[0].problem: median(censored([row], work)[0][0] for row in seeds) for seeds in by_problem(rows)
-    }
+    efforts = {seeds[0].problem: median(censored([row], work)[0][0] for row in seeds) for seeds in by_problem(rows)}
     ordered = sorted(efforts.values())
     last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
     return frozenset(problem for problem, effort in efforts.items() if effort > ordered[last_easy])
@@ -263,9 +259,7 @@ Over = Literal["all", "solved", "joint", "stated"]
 """All runs with failures infinite; solved runs; runs that every planner solved; runs that say a value."""
 
 
-def share_of(
-    counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] = lambda row: True
-) -> Measure:
+def share_of(counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] = lambda row: True) -> Measure:
     """Percentage of the runs of a kind, with Wilson's interval."""
     return lambda rows, runs: fraction([row for row in rows if among(row)], counted).scaled(100)
 

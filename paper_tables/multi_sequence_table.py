@@ -37,9 +37,7 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
 def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> ResultRow:
     failed = next((row for row in group if not row.solved), None)
     counted = [row for row in group if phases is None or split_problem(row.problem).phase in phases]
-    detail = (
-        f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}" if failed else None
-    )
+    detail = f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}" if failed else None
     return ResultRow(
         **group[0].key._replace(problem=group[0].item)._asdict(),
         solved=failed is None,
@@ -100,9 +98,7 @@ PHASE_COLUMNS: Mapping[str, Column] = {
     "execution": _median("execution", "execution_time", interval=True),
     "length": _median("path length", "path_length", "rad"),
 }
-HEADLINES = {"accuracy": {"ours": "solved"}} | {
-    time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
-}
+HEADLINES = {"accuracy": {"ours": "solved"}} | {time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES}
 PLANNING, EXECUTION = (time_metric(time, "paper", "mean") for time in ("planning_time", "execution_time"))
 BRIEF = (
     BriefColumn("solved [%]", "accuracy", "solved"),

@@ -46,11 +46,7 @@ def peers_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) 
     found = table.entries(runs, COLUMNS)
     problems = len({row.problem for row in runs.rows})
     made = sorted(
-        {
-            f"{row.planner}: {row.sampler_used}"
-            for row in runs.rows
-            if row.vertices is None and row.sampler_used
-        }
+        {f"{row.planner}: {row.sampler_used}" for row in runs.rows if row.vertices is None and row.sampler_used}
     )
     return table.Rendered(
         size=f"{problems} problems",
@@ -59,9 +55,7 @@ def peers_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) 
             "Failures": table.count_lines(found, "failures"),
             "Notes": [*NOTES, *made, *table.seed_notes(runs)],
         },
-        latex=table.latex_planners(
-            " ".join(NOTES), runs.rows[0].suite, found, {name: {"": name} for name in COLUMNS}
-        ),
+        latex=table.latex_planners(" ".join(NOTES), runs.rows[0].suite, found, {name: {"": name} for name in COLUMNS}),
         csv=table.csv_of(runs.rows[0].suite, found),
         brief=table.brief_lines(found, BRIEF),
     )

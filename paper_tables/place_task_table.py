@@ -78,8 +78,7 @@ SPLIT = {
     for part in PARTS
 }
 CURVE = {
-    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", share_of(partial(_within, time)))
-    for time in CURVE_TIMES
+    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", share_of(partial(_within, time))) for time in CURVE_TIMES
 }
 COLUMNS: Mapping[str, Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
 HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our columns
@@ -118,9 +117,7 @@ METHOD_NOTES = (
 )
 SENSED: Mapping[str, Column] = {  # only of scanned scenes
     "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
-    "free_in_truth": Column(
-        "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
-    ),
+    "free_in_truth": Column("of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)),
     "true_clearance_median": Column("clearance in truth [m]", "m", median_of("true_clearance", "stated")),
     "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
     "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
@@ -146,9 +143,7 @@ def place_task_table(
     columns = {**COLUMNS, **(SENSED if sensed else {}), **(ROLLOUTS if rolled else {})}
     found = table.entries(runs, columns, published)
     rollouts = [item for item in found if item.planner in rolled]
-    curve = list(CURVE)[
-        : sum(time < max(row.t_total_s or 0.0 for row in runs.rows) for time in CURVE_TIMES) + 1
-    ]
+    curve = list(CURVE)[: sum(time < max(row.t_total_s or 0.0 for row in runs.rows) for time in CURVE_TIMES) + 1]
     suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
     footnotes = list(_footnotes(runs))
     first = _first_lines(found, {**FIRST, "true [%]": "free_in_truth"} if sensed else FIRST)
@@ -176,9 +171,7 @@ def place_task_table(
     return table.Rendered(
         size=f"{problems} {'scenes' if sensed else 'problems'}",
         sections=sections,
-        latex=table.latex_planners(
-            caption + " ".join((*METHOD_NOTES[:4], *footnotes)), suite, found, HEADLINES
-        ),
+        latex=table.latex_planners(caption + " ".join((*METHOD_NOTES[:4], *footnotes)), suite, found, HEADLINES),
         csv=table.csv_of(suite, found),
         brief=[*text_lines(first), *table.fallback_lines(found)],
     )

@@ -148,9 +148,7 @@ def entry(
     )
 
 
-def entries(
-    runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()
-) -> list[Entry]:
+def entries(runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()) -> list[Entry]:
     """Every planner on all its rows."""
     return [entry(name, rows, runs, columns, published) for name, rows in runs.groups.items()]
 
@@ -268,9 +266,7 @@ def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:
     return text_lines([[lines[0][k] for k in columns], *short])
 
 
-def latex_planners(
-    caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
-) -> str:
+def latex_planners(caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]) -> str:
     """The paper's layout, planners as columns; metrics: of the paper, with our columns by their titles."""
     paper = ["", "", *(item.paper_name or item.planner for item in found)]
     names = [paper, ["", "", *(item.planner if item.paper_name else "" for item in found)]]

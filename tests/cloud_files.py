@@ -40,10 +40,7 @@ def ply(points, form="binary_little_endian", head="", tail="", kind="float"):
     header = f"ply\nformat {form} 1.0\ncomment none\n{count}\nproperty uchar shade\n"
     header += "".join(f"property {kind} {axis}\n" for axis in "xyz") + f"{tail}end_header\n"
     if form == "ascii":
-        return (
-            header.encode()
-            + "\n".join("7 " + " ".join(map(repr, map(float, row))) for row in points).encode()
-        )
+        return header.encode() + "\n".join("7 " + " ".join(map(repr, map(float, row))) for row in points).encode()
     order = "<" if form == "binary_little_endian" else ">"
     rows = np.zeros(len(points), [("shade", "u1"), *((axis, f"{order}f4") for axis in "xyz")])
     for axis, column in zip("xyz", points.T, strict=True):

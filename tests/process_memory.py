@@ -9,9 +9,7 @@ from pathlib import Path
 class Mallinfo(ctypes.Structure):
     """What `mallinfo2` of the GNU C library returns: ten sizes, of which two are used here."""
 
-    _fields_ = [
-        (name, ctypes.c_size_t) for name in ["a", "b", "c", "d", "hblkhd", "f", "g", "uordblks", "i", "j"]
-    ]
+    _fields_ = [(name, ctypes.c_size_t) for name in ["a", "b", "c", "d", "hblkhd", "f", "g", "uordblks", "i", "j"]]
 
 
 def resident():

@@ -77,9 +77,7 @@ SHAPES = {
     | norm("context_encoder.to_latent_embedding.4", 512)
     | layers("enc_attn", CONTEXT, "context_encoder.")
     | norm("context_encoder.layer_norm", 512),
-    "ar_model_state": layers("slf_attn", SEQUENCE)
-    | norm("layer_norm", 512)
-    | linear("class_pred", 2050, 512),
+    "ar_model_state": layers("slf_attn", SEQUENCE) | norm("layer_norm", 512) | linear("class_pred", 2050, 512),
 }
 
 

@@ -138,9 +138,7 @@ def test_a_cache_that_only_its_user_can_change_is_used(cache, recwarn, folder, m
     ("path", "mode"),
     [("", 0o777), ("", 0o775), ("", 0o1777), ("..", 0o777), ("../..", 0o770), ("file", 0o664)],
 )
-def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_warning(
-    cache, recwarn, path, mode
-):
+def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_warning(cache, recwarn, path, mode):
     (cache / path).chmod(mode)
     instead = trusted_cache(cache)
     assert instead == trusted_cache(cache) and str(instead).startswith(tempfile.gettempdir())

@@ -88,9 +88,7 @@ SIX = np.zeros((3, 6))
         lambda space, trees: space.residual_and_jacobian(SIX[0]),
         lambda space, trees: space.valid_batch(SIX),
         lambda space, trees: space.checked_path(SIX),
-        lambda space, trees: lazy_roadmap.nearest_nodes(
-            SIX, 3, np.zeros(7), np.zeros(1, np.int32), np.zeros(1)
-        ),
+        lambda space, trees: lazy_roadmap.nearest_nodes(SIX, 3, np.zeros(7), np.zeros(1, np.int32), np.zeros(1)),
         lambda space, trees: RegionConstraint(space.robot, (upright(),)).residual(SIX),
         lambda space, trees: RegionConstraint(space.robot, (upright(),)).project(SIX[0]),
     ],

@@ -98,9 +98,7 @@ def test_the_container_has_a_supported_python_and_runs_as_a_user():
 def linted(arguments, tmp_path):
     lint = Path(sys.executable).parent / "lint-imports"
     command = [lint, "--no-logo", "--cache-dir", tmp_path / "cache", *arguments]
-    return subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"}
-    )
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"})
 
 
 def test_layers_and_doors_are_kept(tmp_path):

@@ -103,9 +103,7 @@ def test_a_run_without_a_clock_takes_no_seconds(problem):
         solve(problem, "birrt", ENOUGH, seed=0, optimize=Budget(seconds=0.05))
 
 
-@pytest.mark.parametrize(
-    ("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")]
-)
+@pytest.mark.parametrize(("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")])
 def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, planner, backend):
     problem, _ = with_sampled_goals(place_problem(number))
 

@@ -68,9 +68,7 @@ def test_missing_fields_are_named(data, path):
 @pytest.mark.parametrize(("path", "misspelt"), MISSPELT.items())
 def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, misspelt):
     folder, _, field = path.rpartition(".")
-    refused(
-        f"{misspelt} is unknown; did you mean '{field}'", changed(data, f"{folder}.{misspelt}".lstrip("."), 0)
-    )
+    refused(f"{misspelt} is unknown; did you mean '{field}'", changed(data, f"{folder}.{misspelt}".lstrip("."), 0))
 
 
 MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
@@ -152,18 +150,14 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
         why(pose((3, 0, 0)) @ at_goal),
     )
     buried = why(at_goal, scene=with_brick(problem, at_goal @ pose((0, 0, 0.1))))
-    assert re.match(
-        r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+", buried
-    )
+    assert re.match(r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+", buried)
     quarter = pose((0, 0, 0))[:, [2, 1, 0, 3]] * [1, 1, -1, 1]  # a turn about y
     tilted = at_goal @ quarter
     assert re.search(r"every pose breaks `upright` by .*it tilts by \d\d°\)", why(tilted))
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
     wide = TaskSpaceRegion(np.eye(4), np.eye(4), np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3))
-    with pytest.raises(
-        InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"
-    ):
+    with pytest.raises(InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"):
         check_problem(replace(problem, goals=goals, goal_region=wide))
 
 
@@ -172,9 +166,7 @@ def with_brick(problem, T):
 
 
 def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constraint(data):
-    start = {
-        "pose": {"at": {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]}, "position": 0.05, "yaw": 3.2}
-    }
+    start = {"pose": {"at": {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]}, "position": 0.05, "yaw": 3.2}}
     asked = changed(changed(data, "start", None), "start_region", start)
     problem = PlanningProblem.from_dict(asked)
     check_problem(problem)
@@ -240,9 +232,7 @@ def test_configurations_by_joint_and_by_the_srdf(problem):
     found = PlanningProblem.from_dict({**plain, "start": backwards, "goals": [backwards, "default"]})
     np.testing.assert_array_equal(found.start, problem.start)
     np.testing.assert_array_equal(found.goals[0], problem.start)
-    np.testing.assert_array_equal(
-        found.goals[1], [group_states(problem.robot)["default"][name] for name in names]
-    )
+    np.testing.assert_array_equal(found.goals[1], [group_states(problem.robot)["default"][name] for name in names])
     refused("unknown group_state of start 'redy'; valid choices: default", {**plain, "start": "redy"})
     refused("unknown joint of start 'joint1'.*did you mean", {**plain, "start": {**values, "joint1": 0.0}})
     refused("start has no value for panda_joint7; give", {**plain, "start": dict(list(values.items())[:6])})

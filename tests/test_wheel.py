@@ -34,10 +34,7 @@ def site(tmp_path_factory):
 def test_it_holds_every_module_and_all_data(site):
     for name in PACKAGES:
         wanted = {
-            path
-            for pattern in DATA
-            for path in (ROOT / name).rglob(pattern)
-            if "results" not in path.parts[-3:-1]
+            path for pattern in DATA for path in (ROOT / name).rglob(pattern) if "results" not in path.parts[-3:-1]
         }
         missing = [path for path in wanted if not (site / path.relative_to(ROOT)).is_file()]
         assert wanted and missing == []

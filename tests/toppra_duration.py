@@ -25,9 +25,7 @@ def toppra_duration(curve, velocity, acceleration):
     toppra.setup_logging("ERROR")
     constraints = [
         JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
-        JointAccelerationConstraint(
-            np.stack([-acceleration, acceleration], axis=1), DiscretizationType.Interpolation
-        ),
+        JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1), DiscretizationType.Interpolation),
     ]
     grid = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
     _, speed, _ = TOPPRA(constraints, Curve(curve), gridpoints=grid).compute_parameterization(0.0, 0.0)

@@ -99,9 +99,7 @@ class Tagged:
             raise InvalidInputError(f"{at(where, self.key)} is missing; one of {listed}")
         name = fields.pop(self.key)
         if isinstance(name, str) and name in self.by_path:
-            raise InvalidInputError(
-                f"{at(where, self.key)} {name!r} names a file: load what names it from a file too"
-            )
+            raise InvalidInputError(f"{at(where, self.key)} {name!r} names a file: load what names it from a file too")
         if not isinstance(name, str) or name not in self.choices:
             raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
         return from_plain(self.choices[name], fields, where)
@@ -144,17 +142,11 @@ class OneOrMore:
 
 
 PRINTABLE, NAME_LENGTHS = "1 to 200 printable characters", {"minLength": 1, "maxLength": 200}
-Name = Annotated[
-    str, Condition(str, lambda s: 0 < len(s) <= 200 and s.isprintable(), PRINTABLE, NAME_LENGTHS)
-]
+Name = Annotated[str, Condition(str, lambda s: 0 < len(s) <= 200 and s.isprintable(), PRINTABLE, NAME_LENGTHS)]
 UP_TO, ABOVE_0 = f"up to {LARGEST:g} [m]", {"exclusiveMinimum": 0, "maximum": LARGEST}
-Length = Annotated[
-    float, Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, {UP_TO}", ABOVE_0)
-]
+Length = Annotated[float, Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, {UP_TO}", ABOVE_0)]
 FROM_0 = {"minimum": 0, "maximum": LARGEST}
-Padding = Annotated[
-    float, Condition(float, lambda x: 0.0 <= x <= LARGEST, f"a length of 0 or more, {UP_TO}", FROM_0)
-]
+Padding = Annotated[float, Condition(float, lambda x: 0.0 <= x <= LARGEST, f"a length of 0 or more, {UP_TO}", FROM_0)]
 
 Angle = Annotated[
     float,

@@ -177,9 +177,7 @@ def _dataclass(kind: Any, value: Any, where: str, complete: bool) -> Any:
         if name not in value and name not in optional:
             raise InvalidInputError(f"{at(where, name)} is missing; fields: {listed}")
     parts = {
-        name: from_plain(part, value[name], at(where, name), complete)
-        for name, part in kinds.items()
-        if name in value
+        name: from_plain(part, value[name], at(where, name), complete) for name, part in kinds.items() if name in value
     }
     with located(where):
         return kind(**parts)

@@ -89,9 +89,7 @@ def _check(cloud: Cloud, number: int) -> None:
             f"cloud {number}: point {bad} is {cloud.centre[bad]}; remove points that are not finite"
         )
     if not 0.0 <= cloud.radius < np.inf:
-        raise InvalidInputError(
-            f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]"
-        )
+        raise InvalidInputError(f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]")
 
 
 def _curve_position(points: np.ndarray, step: float) -> np.ndarray:

@@ -273,9 +273,7 @@ def assign(
             for k in range(3):
                 extent += abs(bounds[i, 3 * a + k]) * bounds[i, 12 + k]
             low[a] = int(min(max(np.floor((bounds[i, 9 + a] - extent - origin[a]) / edge), 0.0), blocks[a]))
-            high[a] = int(
-                min(max(np.floor((bounds[i, 9 + a] + extent - origin[a]) / edge) + 1.0, 0.0), blocks[a])
-            )
+            high[a] = int(min(max(np.floor((bounds[i, 9 + a] + extent - origin[a]) / edge) + 1.0, 0.0), blocks[a]))
         for bx in range(low[0], high[0]):
             for by in range(low[1], high[1]):
                 for bz in range(low[2], high[2]):

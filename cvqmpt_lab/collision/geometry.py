@@ -102,9 +102,7 @@ def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
     return np.where(kinematics.prismatic, 1.0, extent[1:])
 
 
-def _bodies(
-    link: Sequence[int], pairs: Sequence[tuple[int, int]]
-) -> tuple[list[list[int]], list[tuple[int, int]]]:
+def _bodies(link: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[list[int]], list[tuple[int, int]]]:
     """Geometries grouped by link and by the others they are checked against; pairs of groups to check."""
     partners: list[set[int]] = [set() for _ in link]
     for a, b in pairs:

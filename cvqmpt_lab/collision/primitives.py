@@ -82,9 +82,7 @@ def _check(specs: Sequence[ShapeSpec]) -> None:
     wrong = ~np.isfinite(poses).all(axis=1)
     for i, spec in enumerate(specs):
         if wrong[i] or not all(map(math.isfinite, spec.size)):
-            raise InvalidInputError(
-                f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]"
-            )
+            raise InvalidInputError(f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]")
         if min(spec.size, default=0.0) < 0.0:
             raise InvalidInputError(f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]")
         if spec.kind == HULL and not 0 < len(spec.vertices) < MAX_HULL_VERTICES:

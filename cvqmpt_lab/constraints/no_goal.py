@@ -46,14 +46,10 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
     axis, reach = robot.kinematics.translation[0], hand_reach(robot)
     away = np.linalg.norm(T[:, :3, 3] - axis, axis=1)
     if away.min() > reach:
-        return (
-            f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand reaches {reach:.2f} m"
-        )
+        return f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand reaches {reach:.2f} m"
     turned = sum(_position_reached(robot, pose, rng) for pose in T)
     if turned:
-        return (
-            f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned as asked to none"
-        )
+        return f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned as asked to none"
     near = f"from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches {reach:.2f} m"
     return f"they lie {near}, but the joint limits do not let it get there"
 

@@ -157,9 +157,7 @@ def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translatio
     dx = end[0] - link_translation[j + 1, 0]
     dy = end[1] - link_translation[j + 1, 1]
     dz = end[2] - link_translation[j + 1, 2]
-    velocity = _into_reference(
-        regions, k, link_rotation, zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
-    )
+    velocity = _into_reference(regions, k, link_rotation, zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx)
     return velocity, angular
 
 
@@ -231,9 +229,7 @@ def jacobian(kinematics, regions, link_rotation, link_translation, displacement,
         factor, square = log_map_factor(vector)
         bounds_position = regions.axis[first] < 3  # rows of a region are sorted by axis
         for j in range(n):
-            v, w = _relative_velocity(
-                kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position
-            )
+            v, w = _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position)
             rate = _log_map_rate(vector, factor, square, w)
             for row in range(first, last):
                 axis = regions.axis[row]

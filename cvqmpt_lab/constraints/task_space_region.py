@@ -102,9 +102,7 @@ class TaskSpaceRegion(Checked):
             if len(x) == count:
                 break
         else:
-            raise InvalidInputError(
-                "cannot sample poses of a region: its rotation bounds lie beyond angle pi"
-            )
+            raise InvalidInputError("cannot sample poses of a region: its rotation bounds lie beyond angle pi")
         T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
         T_w_displaced[:, :3, :3] = rotation_matrices(x[:, 3:])
         T_w_displaced[:, :3, 3] = x[:, :3]

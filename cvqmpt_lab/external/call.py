@@ -86,9 +86,7 @@ def _states(answer: Any, n: int) -> tuple[np.ndarray | None, str]:
         return None, f"row {row} of {len(states)} that it returned is not finite"
     steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
     parts = np.maximum(1, np.ceil(steps / LONGEST_STEP)).astype(int)
-    dense = [
-        a + (b - a) * np.arange(k)[:, None] / k for a, b, k in zip(states, states[1:], parts, strict=False)
-    ]
+    dense = [a + (b - a) * np.arange(k)[:, None] / k for a, b, k in zip(states, states[1:], parts, strict=False)]
     return np.concatenate([*dense, states[-1:]]), ""
 
 

@@ -28,9 +28,7 @@ class Peer(NamedTuple):
 
 PEERS = {
     "roboplan": Peer("cvqmpt_lab.external.roboplan_peer", {"roboplan": "roboplan"}),
-    "sscbirrt": Peer(
-        "cvqmpt_lab.external.sscbirrt_peer", {"sscbirrt": "sscbirrt", "mujoco": "mujoco", "ssik": "ssik"}
-    ),
+    "sscbirrt": Peer("cvqmpt_lab.external.sscbirrt_peer", {"sscbirrt": "sscbirrt", "mujoco": "mujoco", "ssik": "ssik"}),
     "hpp": Peer("cvqmpt_lab.external.hpp_peer", {"pyhpp": "hpp-python"}),
 }
 
@@ -56,9 +54,7 @@ def find_external(name: str) -> Found:
     entries = [entry for entry in _entry_points() if entry.name == name]
     if len(entries) != 1:
         who = ", ".join(_distribution(entry) for entry in entries)
-        raise InvalidInputError(
-            f"planner {name!r} is of {len(entries)} distributions, {who}: keep one of them"
-        )
+        raise InvalidInputError(f"planner {name!r} is of {len(entries)} distributions, {who}: keep one of them")
     module, _, attribute = entries[0].value.partition(":")
     return Found(_made(name, _attribute(name, module, attribute)), _distribution(entries[0]))
 
@@ -126,9 +122,7 @@ def _made(name: str, planner: Any) -> Callable[..., Any]:
         try:
             planner = planner()
         except Exception as error:
-            raise InvalidInputError(
-                f"planner {name}: making it without arguments raises {_said(error)}"
-            ) from error
+            raise InvalidInputError(f"planner {name}: making it without arguments raises {_said(error)}") from error
     if not callable(planner):
         raise InvalidInputError(
             f"planner {name} is {shown(planner)}: give a function (problem, budget, seed), or a class of such"

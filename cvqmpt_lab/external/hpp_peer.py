@@ -96,9 +96,7 @@ def _posed(problem: PlanningProblem, hpp: _Hpp) -> Any:
     for check in ("CollisionValidation", "JointBoundValidation"):
         posed.addConfigValidation(check)
     posed.pathValidation(hpp.core.Progressive(hpp.robot, PENETRATION))
-    posed.pathProjector(
-        hpp.core.ProgressiveProjector(posed.distance(), posed.steeringMethod(), PROJECTION_STEP)
-    )
+    posed.pathProjector(hpp.core.ProgressiveProjector(posed.distance(), posed.steeringMethod(), PROJECTION_STEP))
     posed.initConfig(problem.start.copy())
     posed.addGoalConfig(problem.goals[0].copy())
     return posed

@@ -25,17 +25,11 @@ def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
     """
     region = problem.constraint[0] if len(problem.constraint) == 1 else None
     if region is None or isinstance(region, TaskSpaceRegionChain) or region.bounded_rows.tolist() != [4, 5]:
-        raise InvalidInputError(
-            f"{problem.name}: this adapter keeps one upright constraint, rotation y and z bounded"
-        )
+        raise InvalidInputError(f"{problem.name}: this adapter keeps one upright constraint, rotation y and z bounded")
     if not np.array_equal(np.abs(region.Bw[4:]), np.full((2, 2), region.Bw[4, 1])):
-        raise InvalidInputError(
-            f"{problem.name}: this adapter keeps one bound of rotation y and z, both ways"
-        )
+        raise InvalidInputError(f"{problem.name}: this adapter keeps one bound of rotation y and z, both ways")
     if len(problem.goals) != 1:
-        raise InvalidInputError(
-            f"{problem.name}: this adapter plans to one goal, not to {len(problem.goals)}"
-        )
+        raise InvalidInputError(f"{problem.name}: this adapter plans to one goal, not to {len(problem.goals)}")
     return region
 
 

@@ -72,9 +72,7 @@ def urdf_of(problem: PlanningProblem, folder: Path, T_hand_tool: np.ndarray) -> 
         collision = ElementTree.SubElement(link, "collision", name=f"{body.name}_0")
         _urdf_shape(ElementTree.SubElement(collision, "geometry"), body, folder)
         checking = ElementTree.SubElement(link, "collision_checking")
-        ElementTree.SubElement(
-            checking, "convex", name=f"{body.name}_0"
-        )  # pinocchio: the mesh is its convex hull
+        ElementTree.SubElement(checking, "convex", name=f"{body.name}_0")  # pinocchio: the mesh is its convex hull
         _fixed_joint(root, f"link_{body.link}", body.name, body.T_link_body)
     row, T_link_hand = problem.robot.end_effector_link
     ElementTree.SubElement(root, "link", name=TOOL)
@@ -191,7 +189,5 @@ def _mjcf_shape(part: ElementTree.Element, assets: ElementTree.Element, body: Bo
         case Sphere(radius):
             ElementTree.SubElement(part, "geom", name=name, type="sphere", size=repr(radius))
         case ConvexMesh(vertices):
-            ElementTree.SubElement(
-                assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex"
-            )
+            ElementTree.SubElement(assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex")
             ElementTree.SubElement(part, "geom", name=name, type="mesh", mesh=body.name)

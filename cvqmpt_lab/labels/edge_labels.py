@@ -131,9 +131,7 @@ def judge(log_odds: np.ndarray, examples: Examples) -> Judged:
         own = examples.scene == scene
         if 0 < examples.free[own].sum() < own.sum():
             areas.append(area(log_odds[own], examples.free[own]))
-    return Judged(
-        float(np.median(areas)), area(log_odds, examples.free), calibration_error(log_odds, examples.free)
-    )
+    return Judged(float(np.median(areas)), area(log_odds, examples.free), calibration_error(log_odds, examples.free))
 
 
 def area(score: np.ndarray, free: np.ndarray) -> float:
@@ -152,9 +150,7 @@ def calibration_error(odds: np.ndarray, free: np.ndarray) -> float:
     return float(np.abs(gap).sum() / len(free))
 
 
-def fitted(
-    examples: Examples, seed: int
-) -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray], np.ndarray]]:
+def fitted(examples: Examples, seed: int) -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray], np.ndarray]]:
     """Every kind of model by name: its log odds of its features, and its weights where it is a curve."""
     from cvqmpt_lab.training.edge_training import fit_logistic, fit_network  # torch: only to train
 

@@ -116,9 +116,7 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
     if path.exists():
         existing = read_json_object(path).get("recipe", {})
         if {"robot": PANDA, **existing} != settings:  # datasets of the Panda alone do not name it
-            raise InvalidInputError(
-                f"{out} holds a dataset of another recipe, {existing}; choose another --out"
-            )
+            raise InvalidInputError(f"{out} holds a dataset of another recipe, {existing}; choose another --out")
         return
     description = {
         "schema": SCHEMA,

@@ -203,9 +203,7 @@ def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
     share = f"{100 * paths.trivial[first].mean():.0f} %" if len(first) else "-"
     means = [f"{array[first].mean():.2f}" if len(first) else "-" for array in (paths.length, paths.straight)]
     ratio = _ratio(dataset, twins)
-    return (
-        f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | {len(twins)} | {ratio} |"
-    )
+    return f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | {len(twins)} | {ratio} |"
 
 
 def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
@@ -216,9 +214,7 @@ def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
     apart = off_line = 0.0
     marks = np.linspace(0.0, 1.0, 32)
     for twin in twins.tolist():
-        one, other = (
-            _resampled(dataset.paths.joints(p) * span, marks) for p in (twin, dataset.paths.twin_of[twin])
-        )
+        one, other = (_resampled(dataset.paths.joints(p) * span, marks) for p in (twin, dataset.paths.twin_of[twin]))
         line = other[0] + marks[:, None] * (other[-1] - other[0])
         apart += float(np.linalg.norm(one - other, axis=1).mean())
         off_line += float(np.linalg.norm(other - line, axis=1).mean())

@@ -41,9 +41,7 @@ MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16
 SHIPPED_DICTIONARY = "vq_mpt"
 CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
-LINK_CHECKS = (
-    600  # likewise a link: near self-collision it needs more than an edge that the robot itself allows
-)
+LINK_CHECKS = 600  # likewise a link: near self-collision it needs more than an edge that the robot itself allows
 
 
 @dataclass(frozen=True)

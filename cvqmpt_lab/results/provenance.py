@@ -170,8 +170,7 @@ class ProvenanceFile:
         found = differences(then, now)
         if found:
             raise RunStoreError(
-                f"{self.directory} holds runs of another configuration ({'; '.join(found)}); "
-                "use another --out"
+                f"{self.directory} holds runs of another configuration ({'; '.join(found)}); use another --out"
             )
 
     def add_continuation(self, session: Mapping[str, object]) -> None:

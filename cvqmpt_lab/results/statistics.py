@@ -100,9 +100,7 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
     """
     array = _checked(values)
     if not ((array > 0.0) & np.isfinite(array)).all():
-        raise InvalidInputError(
-            f"geometric mean of {array.min()} to {array.max()}; give finite positive values"
-        )
+        raise InvalidInputError(f"geometric mean of {array.min()} to {array.max()}; give finite positive values")
     logs = mean_of_solved(np.log(array))
     middle, low, high = (None if x is None else math.exp(x) for x in logs[:3])
     return Interval(middle, low, high, logs.n)
@@ -139,7 +137,5 @@ def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[
 def _checked(values: ArrayLike) -> np.ndarray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 1 or np.isnan(array).any():
-        raise InvalidInputError(
-            f"values of shape {array.shape} with NaN or not one-dimensional; failures are +inf"
-        )
+        raise InvalidInputError(f"values of shape {array.shape} with NaN or not one-dimensional; failures are +inf")
     return array

@@ -86,9 +86,7 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     if isinstance(shape, coal.Cylinder | coal.Capsule):
         half = shape.halfLength + (shape.radius if isinstance(shape, coal.Capsule) else 0.0)
         return prism_vertices(shape.radius, half)
-    raise InvalidInputError(
-        f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
-    )
+    raise InvalidInputError(f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder")
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:

@@ -101,9 +101,7 @@ def _check_names(robot: Robot, item: ArticulatedObject) -> None:
     known = {*pieces, *robot.frame_names, *robot.joint_names}
     for name in (item.name, *(part.name for part in (*item.parts, *item.casing))):
         if name in known:
-            raise InvalidInputError(
-                f"robot {robot.name} has a {name!r} already: rename that of {item.name!r}"
-            )
+            raise InvalidInputError(f"robot {robot.name} has a {name!r} already: rename that of {item.name!r}")
     for pair in item.may_touch:
         for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):
             if name not in names:

@@ -34,9 +34,7 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
     if isinstance(value, str):
         states = group_states(robot)
         if value not in states:
-            raise UnknownChoiceError(
-                f"group_state of {where}", value, states or ["none in its SRDF; give numbers"]
-            )
+            raise UnknownChoiceError(f"group_state of {where}", value, states or ["none in its SRDF; give numbers"])
         value = {name: number for name, number in states[value].items() if name in robot.joint_names}
     if not isinstance(value, Mapping):
         return value
@@ -45,9 +43,7 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
             raise UnknownChoiceError(f"joint of {where}", name, robot.joint_names)
     missing = [name for name in robot.joint_names if name not in value]
     if missing:
-        raise InvalidInputError(
-            f"{where} has no value for {', '.join(missing)}; give one for each joint [rad or m]"
-        )
+        raise InvalidInputError(f"{where} has no value for {', '.join(missing)}; give one for each joint [rad or m]")
     return [value[name] for name in robot.joint_names]
 
 

@@ -94,9 +94,7 @@ def distance_levers(kinematics: Kinematics, first: LinkGeometry, second: LinkGeo
     sides = [_chain(kinematics, piece.link) for piece in (first, second)]
     sides = [[j for j in side if j not in other] for side, other in (sides, sides[::-1])]
     levers = {}
-    for joints, piece, others, other in zip(
-        sides, (first, second), sides[::-1], (second, first), strict=True
-    ):
+    for joints, piece, others, other in zip(sides, (first, second), sides[::-1], (second, first), strict=True):
         own, far = _in_link(piece), float(np.linalg.norm(_in_link(other), axis=1).max())
         far += sum(_step(kinematics, j) for j in others)  # of the other piece from where both chains part
         to_other = {}

@@ -86,9 +86,7 @@ def positive_per_joint(
         )
     for name, value in zip(joint_names, array, strict=True):
         if not (np.isfinite(value) and value > 0.0):
-            raise InvalidInputError(
-                f"{what} {value} of joint {name!r}: give a finite number above 0 [{unit}]"
-            )
+            raise InvalidInputError(f"{what} {value} of joint {name!r}: give a finite number above 0 [{unit}]")
     array.flags.writeable = False
     return array
 

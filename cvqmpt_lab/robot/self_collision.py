@@ -48,9 +48,7 @@ def left_out_pairs(
 ) -> tuple[LeftOut, ...]:
     """The pairs that an SRDF leaves out; without one, the cached ones, or those found now, which are then cached."""
     if srdf is not None:
-        return tuple(
-            pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF)) for pair in read_srdf(srdf)
-        )
+        return tuple(pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF)) for pair in read_srdf(srdf))
     names = [link_of_piece(model, item) for item in geometry.geometryObjects]
     near = neighbours(urdf, set(names))
     key = robot_digest(geometry, links, kinematics, names, near)
@@ -164,16 +162,12 @@ def found_pairs(
     shapes = [item.geometry for item in geometry.geometryObjects]
     for first, second in sorted(apart):
         bodies = ((i, k) for i in pieces[first] for k in pieces[second])
-        if all(
-            proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP) for i, k in bodies
-        ):
+        if all(proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP) for i, k in bodies):
             reasons[first, second] = APART
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 
 
-def _balls(
-    links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _balls(links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centres (k, p, 3) and radii (p,) [m] of balls around the pieces, in each state (k, n)."""
     rotations, translations = link_poses(kinematics, states)
     centres, radii = np.empty((len(states), len(links), 3)), np.empty(len(links))
@@ -242,8 +236,6 @@ def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:
     """An SRDF file that leaves out these pairs."""
     robot = ElementTree.Element("robot", name=name)
     for pair in pairs:
-        ElementTree.SubElement(
-            robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason
-        )
+        ElementTree.SubElement(robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'

@@ -82,9 +82,7 @@ class NamedRobot(RobotOptions):
         fingers: Mapping[str, float] = {}
         if self.finger_opening is not None:
             if name != "panda":
-                raise InvalidInputError(
-                    f"'finger_opening' is the panda's, not that of {self.name!r}; use 'locked'"
-                )
+                raise InvalidInputError(f"'finger_opening' is the panda's, not that of {self.name!r}; use 'locked'")
             if not 0.0 <= self.finger_opening <= FINGER_OPENING:
                 raise InvalidInputError(
                     f"finger opening {self.finger_opening} m: give a value from 0 to {FINGER_OPENING} m"

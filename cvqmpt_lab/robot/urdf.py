@@ -109,9 +109,7 @@ def read_urdf(path: Path) -> Urdf:
     except ElementTree.ParseError as error:
         raise InvalidInputError(f"cannot read URDF {path}: {error}") from error
     if root.tag != "robot":
-        raise InvalidInputError(
-            f"{path} does not contain a valid URDF: its root is <{root.tag}>, not <robot>"
-        )
+        raise InvalidInputError(f"{path} does not contain a valid URDF: its root is <{root.tag}>, not <robot>")
     if not root.get("name"):
         raise InvalidInputError(f"{path} does not contain a valid URDF: its <robot> has no name")
     links = tuple(link.get("name", "") for link in root.findall("link"))
@@ -163,9 +161,7 @@ def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -
     for what, listed in (("link", links), ("joint", [joint.name for joint in joints])):
         twice = [name for name, count in Counter(listed).items() if count > 1]
         if twice:
-            raise InvalidInputError(
-                f"{path.name} has more than one {what} called {shown(twice[0])}: rename one"
-            )
+            raise InvalidInputError(f"{path.name} has more than one {what} called {shown(twice[0])}: rename one")
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
@@ -189,14 +185,10 @@ def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -
         reached += below[link]
     if len(reached) < len(links):
         loose = ", ".join(map(shown, [link for link in links if link not in reached][:8]))
-        raise InvalidInputError(
-            f"links {loose} of {path.name} hang on no link that stands still: a ring of joints"
-        )
+        raise InvalidInputError(f"links {loose} of {path.name} hang on no link that stands still: a ring of joints")
 
 
-def held_joints(
-    urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool
-) -> tuple[HeldJoint, ...]:
+def held_joints(urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool) -> tuple[HeldJoint, ...]:
     """The joints that planning does not move, with their values: those locked, and those off the chain.
 
     InvalidInputError names every joint that can be neither moved nor held, and the options that hold them.
@@ -211,9 +203,7 @@ def held_joints(
         if joint.mimics is not None:
             followers.append(joint)
         elif joint.name not in chain:
-            held[joint.name] = HeldJoint(
-                joint.name, joint.neutral, "not between the base and the end effector"
-            )
+            held[joint.name] = HeldJoint(joint.name, joint.neutral, "not between the base and the end effector")
         elif joint.kind == "floating" and base_given:
             held[joint.name] = HeldJoint(joint.name, 0.0, "the base is given")
     for joint in followers:
@@ -243,9 +233,7 @@ def _locked_value(urdf: Urdf, name: str, value: float) -> float:
     if name not in urdf.movable:
         raise UnknownChoiceError("joint to lock", name, urdf.movable)
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(float(value)):
-        raise InvalidInputError(
-            f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]"
-        )
+        raise InvalidInputError(f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]")
     if urdf.joints[name].kind != "prismatic" and abs(value) > TURN:
         raise InvalidInputError(
             f"joint {name!r} cannot be locked at {value:g} rad, more than 2 pi: degrees? Give radians"
@@ -310,9 +298,7 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
 def _check_body(body: ElementTree.Element) -> None:
     shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
     if len(shapes) != 1:
-        raise InvalidInputError(
-            f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(SIZES)}"
-        )
+        raise InvalidInputError(f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(SIZES)}")
     shape = shapes[0]
     if shape.tag not in SIZES:
         raise UnknownChoiceError("shape", shape.tag, SIZES)
@@ -339,7 +325,5 @@ def _numbers(element: ElementTree.Element, name: str, count: int) -> list[float]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)) or "_" in text:
-        raise InvalidInputError(
-            f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite numbers"
-        )
+        raise InvalidInputError(f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite numbers")
     return numbers

@@ -64,9 +64,7 @@ def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
         points = scale * reader(data).astype(np.float64)
     finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])  # 5 times as fast as by rows
     if not finite.any():
-        raise InvalidInputError(
-            f"cloud {path}: none of its {len(points)} points is finite; give one that has some"
-        )
+        raise InvalidInputError(f"cloud {path}: none of its {len(points)} points is finite; give one that has some")
     check_lengths(points[finite], f"cloud {path}")
     return CloudRead(points[finite], int(len(points) - finite.sum()))
 
@@ -277,9 +275,7 @@ def _places(columns: Sequence[Column]) -> list[int]:
     names = [column.name for column in columns]
     for axis in "xyz":
         if names.count(axis) != 1:
-            raise InvalidInputError(
-                f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}"
-            )
+            raise InvalidInputError(f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}")
     return [names.index(axis) for axis in "xyz"]
 
 

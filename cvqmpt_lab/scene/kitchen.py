@@ -25,9 +25,7 @@ from cvqmpt_lab.scene.objects import (
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 
 
-def kitchen(
-    parameters: KitchenParameters | None = None, door_angles: Mapping[str, float] | None = None
-) -> Scene:
+def kitchen(parameters: KitchenParameters | None = None, door_angles: Mapping[str, float] | None = None) -> Scene:
     """Build the kitchen with the robot's pedestal and the floor.
 
     The floor is visible but not an obstacle. Articulations: the hinges "dagger_door_left" (the only

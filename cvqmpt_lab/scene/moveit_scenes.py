@@ -81,9 +81,7 @@ def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]
         raise InvalidInputError(f"mesh of {len(triangles)} triangles; {MOST_TRIANGLES} at most: simplify it")
     corners = triangles.astype(int)
     if corners.size == 0 or corners.min() < 0 or corners.max() >= len(vertices):
-        raise InvalidInputError(
-            f"a triangle has a corner that is none of the mesh's {len(vertices)} vertices"
-        )
+        raise InvalidInputError(f"a triangle has a corner that is none of the mesh's {len(vertices)} vertices")
     yield from map(ConvexMesh, convex_pieces(vertices[corners]))
 
 
@@ -182,9 +180,7 @@ def _from_yaml(text: str, path: Path) -> tuple[str, str, list[Placed]]:
     _refuse_what_is_no_object(whole, world)
     found, frames = list[Placed](), list[str]()
     for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
-        fields = mapping(
-            item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
-        )
+        fields = mapping(item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses")
         of = str(fields.get("id", "")).strip()
         with located(f"object {shown(of)}"):
             found += _yaml_object(fields, of, path)
@@ -214,9 +210,7 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
 
 def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Placed]:
     if fields.get("operation", 0) not in (0, "add", "ADD"):
-        raise InvalidInputError(
-            f"operation {shown(fields['operation'])}; only objects that are added are read"
-        )
+        raise InvalidInputError(f"operation {shown(fields['operation'])}; only objects that are added are read")
     if fields.get("planes"):
         raise UnknownChoiceError("shape", "plane", KNOWN)
     T_object = _pose(fields["pose"]) if fields.get("pose") else np.eye(4)
@@ -231,9 +225,7 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
         if not poses and len(shapes) == 1 and fields.get("pose"):
             poses = [None]  # newer messages may say the object's pose alone
         if len(poses) != len(shapes):
-            raise InvalidInputError(
-                f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many"
-            )
+            raise InvalidInputError(f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many")
         for item, there in zip(shapes, poses, strict=True):
             T = T_object if there is None else T_object @ _pose(there)
             yield from (Placed(of, shape, T) for shape in read(item))
@@ -250,9 +242,7 @@ def _primitive(item: Any) -> Shape:
 def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     fields = mapping(item, "mesh", "vertices, triangles, or resource")
     if "resource" not in fields:
-        corners = [
-            _field(one, "vertex_indices") or one for one in _listed(fields.get("triangles"), "triangles")
-        ]
+        corners = [_field(one, "vertex_indices") or one for one in _listed(fields.get("triangles"), "triangles")]
         vertices = [_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
         yield from _pieces(
             numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
@@ -264,11 +254,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     if len(scales) != 1:
         raise InvalidInputError(f"mesh {name!r} is scaled differently along its axes; scale the file itself")
     package, _, rest = name.removeprefix(SCHEME).partition("/")
-    there = (
-        in_package(package, rest, path)
-        if name.startswith(SCHEME)
-        else path.parent / name.removeprefix("file://")
-    )
+    there = in_package(package, rest, path) if name.startswith(SCHEME) else path.parent / name.removeprefix("file://")
     yield from map(ConvexMesh, read_mesh(there, scales.pop()))
 
 

@@ -22,9 +22,7 @@ class Assembly(NamedTuple):
     articulation: Articulation | None = None
 
 
-def handle(
-    name: str, centre: tuple[float, float, float], axis: str, p: KitchenParameters
-) -> list[SceneObject]:
+def handle(name: str, centre: tuple[float, float, float], axis: str, p: KitchenParameters) -> list[SceneObject]:
     """Return a bar along `axis` ("y" or "z") at `centre`, and the two posts from it towards +x."""
     bar = cylinder(f"{name}/handle_bar", 0.5 * p.handle_diameter, p.handle_length, centre, axis)
     along = bar.T_world_object[:3, 2]
@@ -37,9 +35,7 @@ def handle(
     return pieces
 
 
-def hinged(
-    name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters
-) -> Assembly:
+def hinged(name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters) -> Assembly:
     """Return a door with a vertical hinge: a left (+1) one opens to -door_range, a right (-1) one to +."""
     limits = (-p.door_range, 0.0) if hinge_side > 0 else (0.0, p.door_range)
     return articulated(name, "hinge", pose((*hinge_xy, 0.0)), limits, objects)
@@ -63,9 +59,7 @@ def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObj
     return SceneObject(name, Box((x[1] - x[0], y[1] - y[0], z[1] - z[0])), pose(centre), obstacle)
 
 
-def cylinder(
-    name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z"
-) -> SceneObject:
+def cylinder(name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z") -> SceneObject:
     """Return a cylinder whose axis is a world axis."""
     return SceneObject(name, Cylinder(radius, height), oriented(axis, centre))
 

@@ -47,9 +47,7 @@ class Articulation(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.lower > self.upper:
-            raise InvalidInputError(
-                f"articulation {self.name!r}: lower {self.lower} is above upper {self.upper}"
-            )
+            raise InvalidInputError(f"articulation {self.name!r}: lower {self.lower} is above upper {self.upper}")
         self._check_range(self.value)
 
     def displacement(self, value: float) -> FloatArray:
@@ -66,8 +64,7 @@ class Articulation(Checked):
         if not self.lower <= value <= self.upper:
             unit = "rad" if self.kind == "hinge" else "m"
             raise InvalidInputError(
-                f"value {value!r} of {self.kind} {self.name!r} is outside its range "
-                f"[{self.lower}, {self.upper}] {unit}"
+                f"value {value!r} of {self.kind} {self.name!r} is outside its range [{self.lower}, {self.upper}] {unit}"
             )
 
 
@@ -138,9 +135,7 @@ class Scene(Checked, Pictured):
     def without(self, *names: str) -> "Scene":
         """Return a scene without these objects; articulations that then move nothing go too."""
         gone = {self[name].name for name in names}
-        moves = (
-            (item, tuple(name for name in item.moves if name not in gone)) for item in self.articulations
-        )
+        moves = ((item, tuple(name for name in item.moves if name not in gone)) for item in self.articulations)
         joints = (replace(item, moves=left) for item, left in moves)
         return replace(
             self,
@@ -162,9 +157,7 @@ class Scene(Checked, Pictured):
         return replace(
             self,
             objects=tuple(moved.get(item.name, item) for item in self.objects),
-            articulations=tuple(
-                replace(item, value=value) if item is joint else item for item in self.articulations
-            ),
+            articulations=tuple(replace(item, value=value) if item is joint else item for item in self.articulations),
         )
 
     def __hash__(self) -> int:

@@ -101,9 +101,7 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
     return found, pieces
 
 
-def _shapes(
-    named: CloudFile | MapFile | MeshFile, folder: Path
-) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
+def _shapes(named: CloudFile | MapFile | MeshFile, folder: Path) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
     """What a file holds."""
     path = folder / named.path
     if not isinstance(named, MeshFile):

@@ -154,9 +154,7 @@ class OccupancyMap(Checked):
         if len(self.cells) == 0:
             raise InvalidInputError("OccupancyMap.cells is empty: leave the object out of the scene")
         if self.resolution < FINEST:
-            raise InvalidInputError(
-                f"OccupancyMap.resolution is {self.resolution:g} m; give {FINEST:g} m or more"
-            )
+            raise InvalidInputError(f"OccupancyMap.resolution is {self.resolution:g} m; give {FINEST:g} m or more")
 
     @property
     def centres(self) -> FloatArray:

@@ -19,9 +19,7 @@ def refuse_far_poses(poses: dict[str, np.ndarray]) -> None:
     """Refuse a pose (4, 4), by its place in the file, that stands more than FARTHEST from the world's origin."""
     for where, T in poses.items():
         if (off := float(np.abs(T[:3, 3]).max())) > FARTHEST:
-            raise InvalidInputError(
-                f"{where} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
-            )
+            raise InvalidInputError(f"{where} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres")
 
 
 def refuse_far(scene: Scene, where: str = "scene") -> None:
@@ -40,13 +38,9 @@ def refuse_far(scene: Scene, where: str = "scene") -> None:
                 lengths = ()
         name = at(where, f"objects[{k}], {item.name!r},")
         if (most := max(lengths, default=0.0)) > LARGEST:
-            raise InvalidInputError(
-                f"{name} is {most:.4g} m large, more than {LARGEST:g}: no metres? Give metres"
-            )
+            raise InvalidInputError(f"{name} is {most:.4g} m large, more than {LARGEST:g}: no metres? Give metres")
         if (off := distance(item)) > FARTHEST:
-            raise InvalidInputError(
-                f"{name} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
-            )
+            raise InvalidInputError(f"{name} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres")
 
 
 def distance(item: SceneObject) -> float:

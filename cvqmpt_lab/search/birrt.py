@@ -239,9 +239,7 @@ class BiRRT:
             counters=space.counters_since(before),
             vertices=int(trees.size.sum()),
             sampler=distribution.name,
-            trees=tuple(
-                Tree(trees.nodes[k, :size], trees.parent[k, :size]) for k, size in enumerate(trees.size)
-            ),
+            trees=tuple(Tree(trees.nodes[k, :size], trees.parent[k, :size]) for k, size in enumerate(trees.size)),
         )
 
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):

@@ -82,8 +82,6 @@ def reading(
         place = (2 * (k - level) + 1) / (2 * level)
     for j in range(a.shape[0]):
         space.state[j] = a[j] + place * (b[j] - a[j])
-    forward_kinematics(
-        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
-    )
+    forward_kinematics(space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation)
     space.counters[CLEARANCES] += 1
     return smallest_clearance(space, costs.grid, lowest)

@@ -148,9 +148,7 @@ def _factor(space, roadmap, i):
     """How much longer edges at node i count: 1 + penalty |F|, of where the node was first seen."""
     if roadmap.factor[i] == 0.0:
         scratch = space.scratch
-        forward_kinematics(
-            space.kinematics, roadmap.nodes[i], scratch.link_rotation, scratch.link_translation
-        )
+        forward_kinematics(space.kinematics, roadmap.nodes[i], scratch.link_rotation, scratch.link_translation)
         square = residual(
             space.regions,
             scratch.link_rotation,

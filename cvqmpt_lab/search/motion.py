@@ -54,9 +54,7 @@ class Space(NamedTuple):
 @kernel(inline="source")
 def project_state(space, q):
     """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
-    iterations = project(
-        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
-    )
+    iterations = project(space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch)
     if space.scratch.residual.shape[0] > 0:
         space.counters[PROJECTIONS] += 1
         space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
@@ -221,9 +219,7 @@ def _place_between(space, a, b, fraction):
     """Put the state at a fraction of the straight joint motion from a to b into space.state; pose its links."""
     for j in range(a.shape[0]):
         space.state[j] = a[j] + fraction * (b[j] - a[j])
-    forward_kinematics(
-        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
-    )
+    forward_kinematics(space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation)
 
 
 @kernel(inline="source")
@@ -311,9 +307,7 @@ def segment_valid(space, a, b):
 
 
 @entry
-def refine_and_check(
-    space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]
-):
+def refine_and_check(space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]):
     """Copy a path into out (k, n), with projected states put in until every straight motion is short and good.
 
     Returns the number of states in out, and the first segment of the path that cannot be refined or is not free, or -1.
@@ -365,7 +359,5 @@ def edge_verdicts(
         if space.counters[STATE_CHECKS] > checks:
             return False
         a, b = edges[e, 0], edges[e, 1]
-        edge_free[e] = (
-            edge_free[e] and node_free[a] and node_free[b] and motion_free(space, nodes[a], nodes[b])
-        )
+        edge_free[e] = edge_free[e] and node_free[a] and node_free[b] and motion_free(space, nodes[a], nodes[b])
     return True

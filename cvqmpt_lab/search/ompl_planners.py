@@ -94,9 +94,7 @@ class _Run:
         self._css = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
         self._css.setDelta(DELTA)
         information = (
-            ob.TangentBundleSpaceInformation
-            if manifold == "tangent-bundle"
-            else ob.ConstrainedSpaceInformation
+            ob.TangentBundleSpaceInformation if manifold == "tangent-bundle" else ob.ConstrainedSpaceInformation
         )
         self._information = information(self._css)
         self._information.setStateValidityChecker(_validity(space))
@@ -223,7 +221,5 @@ def _atlas(joints: ob.RealVectorStateSpace, manifold: _Manifold):
 STATE_SPACES = {
     "projected": ob.ProjectedStateSpace,
     "atlas": _atlas,
-    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(
-        ob.TangentBundleStateSpace(joints, manifold)
-    ),
+    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(ob.TangentBundleStateSpace(joints, manifold)),
 }

@@ -74,17 +74,13 @@ class GaussianMixture:
                 f"weights {self.weights.shape}"
             )
         if not np.isclose(self.weights.sum(), 1.0) or (self.weights < 0).any():
-            raise InvalidInputError(
-                f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}"
-            )
+            raise InvalidInputError(f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}")
         if not np.isfinite(self.means).all():
             raise InvalidInputError("mixture means must be finite")
         if not np.isfinite(self.covariances).all() or (np.linalg.eigvalsh(self.covariances) <= 0).any():
             raise InvalidInputError("mixture covariances must be positive definite")
         if not 0.0 <= self.uniform_share <= 1.0 or (self.uniform_share > 0 and self.uniform is None):
-            raise InvalidInputError(
-                f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution"
-            )
+            raise InvalidInputError(f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution")
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n); Gaussian draws may leave the limits, planners clip them."""
@@ -244,9 +240,7 @@ class Stages:
 
     predict: Callable[[Query, Observation], Proposal] = uniform
     search: Search | None = None  # None: `BiRRT`
-    observe: Callable[[Scene], np.ndarray] | None = (
-        None  # the cloud (m, 3) [m, base frame]; None: it needs none
-    )
+    observe: Callable[[Scene], np.ndarray] | None = None  # the cloud (m, 3) [m, base frame]; None: it needs none
     update: Callable[[Query, Proposal], Proposal] | None = None  # towards the constraint (paper, Algorithm 2)
     ways: Ways | None = None  # to shorter paths once there is one; None: restarts of the search
 

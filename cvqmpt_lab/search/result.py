@@ -61,9 +61,7 @@ class Counters:
     newton_iterations: int = 0
     state_checks: int = 0
     iterations: int = 0
-    clearances: int = (
-        0  # states whose clearance was read from a distance field: approximate checks, which free no path
-    )
+    clearances: int = 0  # states whose clearance was read from a distance field: approximate checks, which free no path
 
 
 @dataclass(frozen=True)

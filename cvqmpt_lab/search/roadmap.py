@@ -83,9 +83,7 @@ class RoadmapSettings:
     penalty: float = 0.5  # edges at a node cost 1 + penalty * |F| times their length
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
     searches: int = 40  # at most; each ends at a path, or at the first edge that turns out blocked
-    greed: float = (
-        4.0  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
-    )
+    greed: float = 4.0  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
     step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
 
 
@@ -199,9 +197,7 @@ class RoadmapQuery:
         states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
         length, bad = 0, -1
         while self._left > 0 and deadline.spent() is None:
-            kernels.block_state.unchecked(
-                self._graph, path, ends, length, bad
-            )  # of a path that failed its fine check
+            kernels.block_state.unchecked(self._graph, path, ends, length, bad)  # of a path that failed its fine check
             most = min(self._left, SEARCHES_AT_ONCE, deadline.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search.unchecked(
                 self._arrays, self._graph, self._costs, most, self._settings.drift, path, ends, states
@@ -254,9 +250,7 @@ class RoadmapPath:
             return Proposal(query.uniform, fallback=few)
         deadline = query.deadline
         roadmap = self.roadmap.near(query.start, query.space.robot)
-        asked = RoadmapQuery(
-            query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space)
-        )
+        asked = RoadmapQuery(query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space))
         if self.oracle:
             asked.avoid(self._searched_before(query, roadmap))
         path = asked.next_path(deadline)
@@ -267,9 +261,7 @@ class RoadmapPath:
             path = asked.next_path(deadline)
         free = asked.free_nodes
         known = asked.configurations(free[free < len(roadmap.nodes)])
-        around = GaussianMixture.equal(
-            known, roadmap.covariance, query.uniform, self.uniform_share, self.name
-        )
+        around = GaussianMixture.equal(known, roadmap.covariance, query.uniform, self.uniform_share, self.name)
         if path is not None:
             return Proposal(around, vertices=len(free) + 2, path=path)
         lost = f"birrt around {len(known)} free nodes: no roadmap path after {asked.searches} searches"

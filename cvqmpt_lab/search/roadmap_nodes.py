@@ -52,9 +52,7 @@ def _kept(
 ) -> Roadmap:
     """The roadmap of the nodes that a function gives, from the cache where it is there."""
     middle = 0.5 * (robot.lower + robot.upper)
-    alone = PlanningProblem(
-        robot.name, robot, Scene("empty", ()), middle, middle[None], attachments=attachments
-    )
+    alone = PlanningProblem(robot.name, robot, Scene("empty", ()), middle, middle[None], attachments=attachments)
     space, geometry = ConstrainedSpace(alone), robot_arrays(robot, attachments)
     parts = [sources_digest(Path(__file__)).encode(), robot.kinematics_digest.encode(), made_of]
     parts += [np.ascontiguousarray(array).tobytes() for array in (*geometry.pieces, *geometry[1:])]
@@ -74,9 +72,7 @@ def _is_roadmap(space: ConstrainedSpace, arrays: Mapping[str, np.ndarray]) -> bo
     if not form or nodes.dtype != np.float64 or table.dtype != np.int32 or table.shape[1] > NEIGHBOURS:
         return False
     inside = (nodes >= robot.lower) & (nodes <= robot.upper)  # False for nan
-    return bool(
-        inside.all() and ((table >= -1) & (table < len(nodes))).all() and space.valid_batch(nodes).all()
-    )
+    return bool(inside.all() and ((table >= -1) & (table < len(nodes))).all() and space.valid_batch(nodes).all())
 
 
 def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray:

@@ -155,9 +155,7 @@ def simplify(
         shorter = JointPath(states[:count]).length
         stale = stale + 1 if shorter > (1.0 - settings.gain) * length else 0
         length = shorter
-    return Simplified(
-        JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before)
-    )
+    return Simplified(JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before))
 
 
 def _picks(rng: np.random.Generator, tried: int, count: int) -> np.ndarray:

@@ -64,9 +64,7 @@ class SpaceSettings:
     step: float = 0.05  # between neighbouring states [rad], the paper's 0.05
     resolution: float = 0.01  # of the exact backend's last check of a motion [rad]
     margin: float = 1e-4  # kept from obstacles [m]
-    inset: float = (
-        1e-3  # by which bounds are tightened [m, rad]: motions between states on the rim stay inside
-    )
+    inset: float = 1e-3  # by which bounds are tightened [m, rad]: motions between states on the rim stay inside
     tolerance: float = TOLERANCE  # on |F| after projection [m, rad]
     max_iterations: int = MAX_ITERATIONS  # newton steps per projection
 
@@ -113,9 +111,7 @@ class ConstrainedSpace:
 
     def counters_since(self, before: Counters) -> Counters:
         """Work done since an earlier reading."""
-        return Counters(
-            *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
-        )
+        return Counters(*(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True)))
 
     def count_iterations(self, count: int) -> None:
         """Count iterations that no kernel counts."""

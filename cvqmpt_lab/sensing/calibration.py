@@ -111,14 +111,10 @@ class Calibration:
     doubts: tuple[str, ...]  # why it is not trusted; empty when it is
 
 
-def calibrate(
-    points: FloatArray, T_world_guess: FloatArray, arm: Arm, rng: np.random.Generator
-) -> Calibration:
+def calibrate(points: FloatArray, T_world_guess: FloatArray, arm: Arm, rng: np.random.Generator) -> Calibration:
     """Pose of the camera that saw points (m, 3) [m, camera frame]; InvalidInputError for no point but the origin."""
     if not np.any(points):
-        raise InvalidInputError(
-            "a camera that saw nothing cannot be calibrated; give the cloud as it was taken"
-        )
+        raise InvalidInputError("a camera that saw nothing cannot be calibrated; give the cloud as it was taken")
     surface = arm_surface(arm, SAMPLES, rng)
     picture = DepthPicture.of(points)
     starts = _search(picture, surface, T_world_guess, rng)

@@ -15,9 +15,7 @@ from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
 MOST_PIXELS = 2**14  # of a side of an image
-Pixels = Annotated[
-    int, Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})
-]
+Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +39,7 @@ class Intrinsics(Checked):
                 f"{self.width} x {self.height} pixels; give those of this image's size"
             )
         if not 0.0 <= self.near < self.far:
-            raise InvalidInputError(
-                f"intrinsics: depths {self.near:g} to {self.far:g} m; give 0 <= near < far"
-            )
+            raise InvalidInputError(f"intrinsics: depths {self.near:g} to {self.far:g} m; give 0 <= near < far")
 
     @classmethod
     def from_fov(
@@ -56,9 +52,7 @@ class Intrinsics(Checked):
     ) -> "Intrinsics":
         """Square pixels and a centred image, by the vertical angle of view [deg]; default: the published kitchen's."""
         if not 0.0 < vertical_fov < 180.0:
-            raise InvalidInputError(
-                f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180"
-            )
+            raise InvalidInputError(f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180")
         focal = max(0.5 * height / math.tan(0.5 * math.radians(vertical_fov)), 1e-9)
         return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), near, far)
 
@@ -98,9 +92,7 @@ class Camera:
         return ahead + y[:, None, None] * down + x[:, None] * right
 
 
-def look_at(
-    eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
-) -> FloatArray:
+def look_at(eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> FloatArray:
     """T_world_camera (4, 4) of an upright camera at eye (3,) that looks at target (3,), another point [m]."""
     if not np.isfinite([*eye, *target]).all() or np.allclose(eye, target):
         raise InvalidInputError(f"camera at {eye} cannot look at {target}; give two points")

@@ -49,9 +49,7 @@ def read_capture(
     """
     path = Path(path)
     if intrinsics is None and path.suffix.lower() == ".png":
-        raise InvalidInputError(
-            f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)"
-        )
+        raise InvalidInputError(f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)")
     T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
     if intrinsics is None:
         points, dropped = read_cloud(path, 1.0 if scale is None else scale)
@@ -118,9 +116,7 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
 
     with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         if image.mode not in SIXTEEN_BITS:
-            raise InvalidInputError(
-                f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image"
-            )
+            raise InvalidInputError(f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image")
         _check_size((image.height, image.width), lens)
         if image.width * image.height * 2 > EXPANSION * len(data):
             raise InvalidInputError("its header says more pixels than the file can hold: cut short?")

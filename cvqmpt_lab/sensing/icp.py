@@ -135,9 +135,7 @@ def small_motions(changes: np.ndarray) -> FloatArray:
     return T
 
 
-def _planes(
-    points: FloatArray, offset: float, surface: Surface, tree: cKDTree, T: FloatArray, reach: float
-) -> _Planes:
+def _planes(points: FloatArray, offset: float, surface: Surface, tree: cKDTree, T: FloatArray, reach: float) -> _Planes:
     """Points (m, 3) [camera frame], an offset [m] farther, that are within reach [m] of what faces the camera."""
     away = points / np.linalg.norm(points, axis=1, keepdims=True)
     placed, away = (points + offset * away) @ T[:3, :3].T + T[:3, 3], away @ T[:3, :3].T

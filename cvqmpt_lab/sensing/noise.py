@@ -108,18 +108,14 @@ def measured(
     return replace(view, depth=np.where(valid, z, np.inf), solid=np.where(valid, solid, NOTHING))
 
 
-def _shifted_pixels(
-    shape: tuple[int, ...], lateral: float, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _shifted_pixels(shape: tuple[int, ...], lateral: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Row and column (height, width) of the pixel that each pixel looks at, itself or one beside it."""
     rows, columns = np.indices(shape)
     down, right = np.rint(lateral * rng.standard_normal((2, *shape))).astype(int)
     return np.clip(rows + down, 0, shape[0] - 1), np.clip(columns + right, 0, shape[1] - 1)
 
 
-def _with_errors(
-    depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: np.random.Generator
-) -> np.ndarray:
+def _with_errors(depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:
     """Depths (height, width) [m] with an error of the whole image and one of every pixel."""
     offset, scale = rng.standard_normal(2) * (noise.offset, noise.scale)
     spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST)

@@ -55,9 +55,7 @@ def occupancy_map(
 def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None) -> FloatArray:
     """Middles (k, 3) [m] of cells in the box that no ray crossed."""
     if not captures:
-        raise InvalidInputError(
-            "unknown space is occupied, but the captures with their cameras' poses are missing"
-        )
+        raise InvalidInputError("unknown space is occupied, but the captures with their cameras' poses are missing")
     first: FloatArray = np.floor(np.divide(settings.lower, settings.resolution))
     across = (np.ceil(np.divide(settings.upper, settings.resolution)) - first).astype(np.int64)
     if across.prod() > MOST_CELLS:

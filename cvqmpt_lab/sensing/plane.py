@@ -34,9 +34,7 @@ class SupportingPlane(NamedTuple):
     residual: float  # root mean square distance of those from it [m]
 
 
-def supporting_plane(
-    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
-) -> SupportingPlane:
+def supporting_plane(points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator) -> SupportingPlane:
     """Plane that holds the most of points (m, 3) [m] with its normal within tilt [rad] of `up` (3,), by RANSAC and SVD.
 
     InvalidInputError: no such plane holds `LEAST` of the points.
@@ -62,9 +60,7 @@ def supporting_plane(
     return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
 
 
-def _ransac(
-    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
-) -> tuple[FloatArray, float]:
+def _ransac(points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator) -> tuple[FloatArray, float]:
     """Normal (3,) and offset [m] of the best of many planes through three points."""
     a, b, c = points[rng.integers(len(points), size=(3, TRIPLES))]
     normals = np.cross(b - a, c - a)

@@ -95,9 +95,7 @@ class Scan:
         return Scene(name, (SceneObject(name, shape, np.eye(4)), *boxes))
 
 
-def scan(
-    captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator, arm: Arm | None = None
-) -> Scan:
+def scan(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator, arm: Arm | None = None) -> Scan:
     """Merge captures, level them if asked to, and clean them by crop, voxels, robot and outliers.
 
     arm: the robot while the scan was taken; its points are removed.
@@ -143,17 +141,13 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
 def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
     """By the table that the only capture shows."""
     if len(captures) != 1:
-        raise InvalidInputError(
-            f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"
-        )
+        raise InvalidInputError(f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera")
     points = captures[0].points
     plane = supporting_plane(points, CAMERA_UP, CAMERA_TILT, rng)
     return Levelled(level_pose(points, plane, settings.front), plane)
 
 
-def _filters(
-    settings: ScanSettings, arm: Arm | None
-) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
+def _filters(settings: ScanSettings, arm: Arm | None) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
     """What is done to points (m, 3) [m], by name, in order."""
     crop, reach = settings.crop, NEIGHBOURHOOD * settings.voxel
     if crop is not None:

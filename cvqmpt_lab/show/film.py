@@ -107,9 +107,7 @@ def save_film(frames: Sequence[np.ndarray], path: Path) -> None:
 def _write_gif(frames: Sequence[np.ndarray], path: Path) -> None:
     some = frames[:: max(1, len(frames) // PALETTE_FRAMES)]
     palette = Image.fromarray(np.concatenate(some)).quantize(COLOURS)
-    first, *rest = (
-        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
-    )
+    first, *rest = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     with replacing(path) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=rest, duration=1000 // RATE, loop=0)
 
@@ -153,9 +151,7 @@ def film_task(
     stage = clear_stage(first, [joined(arms)], size, moving)
     pictures = []
     for k, frame in enumerate(chosen):
-        items = [
-            shape_mesh(scene[name].shape).placed(poses[k], colour_of(name)) for name, poses in moving.items()
-        ]
+        items = [shape_mesh(scene[name].shape).placed(poses[k], colour_of(name)) for name, poses in moving.items()]
         picture = eight_bit(stage.picture([*_arm(frame), *items]).image)
         pictures.append(np.concatenate([picture, strip([Label(frame.phase)], size[0], NAME_LETTERS)]))
         progress(len(pictures), len(chosen))

@@ -28,9 +28,7 @@ from cvqmpt_lab.scene.shapes import (
 
 Colour = tuple[float, float, float]
 
-KIND_COLOURS: Mapping[
-    str, Colour
-] = {  # of scene objects with a word that begins so; the first that fits counts
+KIND_COLOURS: Mapping[str, Colour] = {  # of scene objects with a word that begins so; the first that fits counts
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
     "handle": (0.52, 0.54, 0.57),
@@ -69,9 +67,7 @@ class Mesh:
     def placed(self, T: np.ndarray, colour: Colour) -> "Mesh":
         """The same triangles moved by T (4, 4), in one colour."""
         turn = T[:3, :3].T
-        return Mesh(
-            self.corners @ turn + T[:3, 3], self.normals @ turn, 0 * self.colours + colour, self.piece
-        )
+        return Mesh(self.corners @ turn + T[:3, 3], self.normals @ turn, 0 * self.colours + colour, self.piece)
 
 
 def colour_of(name: str) -> Colour:
@@ -107,9 +103,7 @@ def hull_mesh(vertices: np.ndarray) -> Mesh:
 def _hull_mesh(coordinates: bytes) -> Mesh:
     vertices = np.frombuffer(coordinates).reshape(-1, 3)
     if len(vertices) > MOST_CORNERS:
-        even = vertices / np.maximum(
-            np.ptp(vertices, axis=0), 1e-9
-        )  # flat pieces need corners all round, too
+        even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)  # flat pieces need corners all round, too
         vertices = vertices[np.unique((even @ _sphere_points(MOST_CORNERS).T).argmax(axis=0))]
     hull = ConvexHull(vertices)
     facing, faces = hull.equations[:, :3], hull.simplices
@@ -161,8 +155,7 @@ def robot_meshes(problem: PlanningProblem, q: np.ndarray, colour: Colour) -> lis
         for part in problem.robot.links
     ]
     loads = [
-        shape_mesh(item.shape).placed(T_world_hand @ item.T_hand_object, LOAD_COLOUR)
-        for item in problem.attachments
+        shape_mesh(item.shape).placed(T_world_hand @ item.T_hand_object, LOAD_COLOUR) for item in problem.attachments
     ]
     return links + loads
 

@@ -64,9 +64,7 @@ def log_solution(
     problem = with_load(solution.problem, carried)
     states = None if solution.simplified is None else solution.simplified.path.states
     plots = () if states is None else plots_along(solution.problem, states)
-    save_recording(
-        path, _blueprint(plots), lambda recording: _log_everything(recording, solution, problem, plots)
-    )
+    save_recording(path, _blueprint(plots), lambda recording: _log_everything(recording, solution, problem, plots))
     if view:
         open_viewer(path)
 
@@ -92,9 +90,7 @@ def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.Recor
 def _blueprint(plots: Sequence[Plot]) -> rrb.Blueprint:
     """The world and the trees on the left, the plots on the right, timelines below."""
     eye = rrb.EyeControls3D(position=(-1.7, -2.0, 1.75), look_target=(0.4, -0.1, 0.5), eye_up=(0.0, 0.0, 1.0))
-    world = rrb.Spatial3DView(
-        origin="/", contents="world/**", name="motion (timeline path_state)", eye_controls=eye
-    )
+    world = rrb.Spatial3DView(origin="/", contents="world/**", name="motion (timeline path_state)", eye_controls=eye)
     still = ["world/scene/**", "world/start/**", "world/goals/**", "trees/**"]
     trees = rrb.Spatial3DView(origin="/", contents=still, name="trees (timeline vertices)", eye_controls=eye)
     views = [
@@ -155,16 +151,12 @@ def log_robot(
     for part in robot.links:
         at = rr.new_entity_path([*entity.split("/"), part.link, part.name])
         mesh = hull_mesh(part.vertices)
-        recording.log(
-            at, _transform(part.T_link_geometry), mesh_archetype(mesh, colour, opacity), static=True
-        )
+        recording.log(at, _transform(part.T_link_geometry), mesh_archetype(mesh, colour, opacity), static=True)
     link, T_link_hand = robot.end_effector_link
     for item in problem.attachments:
         at = rr.new_entity_path([*entity.split("/"), link, item.name])
         T_link_object = T_link_hand @ item.T_hand_object
-        recording.log(
-            at, _transform(T_link_object), _archetype(item.shape, LOAD_COLOUR, opacity), static=True
-        )
+        recording.log(at, _transform(T_link_object), _archetype(item.shape, LOAD_COLOUR, opacity), static=True)
 
 
 def log_growth(recording: rr.RecordingStream, robot: Robot, trees: tuple[Tree, ...]) -> None:

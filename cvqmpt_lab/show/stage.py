@@ -50,9 +50,7 @@ class Shadow:
         column, row, depth = np.moveaxis(self._from_sun.screen(points, self._shape), -1, 0)
         total = np.zeros(len(points))
         for i, j in np.ndindex(3, 3):
-            at = tuple(
-                np.clip((a + b - 0.5).astype(int), 0, self._shape[0] - 1) for a, b in ((row, i), (column, j))
-            )
+            at = tuple(np.clip((a + b - 0.5).astype(int), 0, self._shape[0] - 1) for a, b in ((row, i), (column, j)))
             total += depth < self._blocked[at]
         return total / 9.0
 
@@ -107,9 +105,7 @@ class Stage:
         """Share (k,) of the sunlight that the scene lets through to points (k, 3)."""
         return self._shadows[0].lit(points) if self._shadows else np.ones(len(points))
 
-    def _lay(
-        self, at: tuple[np.ndarray, ...], depth: np.ndarray, colours: np.ndarray, normals: np.ndarray
-    ) -> None:
+    def _lay(self, at: tuple[np.ndarray, ...], depth: np.ndarray, colours: np.ndarray, normals: np.ndarray) -> None:
         """Put a surface of given colours (k, 3) and normals (k, 3) at pixels (rows, columns)."""
         points = self.viewpoint.eye + depth[:, None] * self.viewpoint.rays(at[0], at[1], self.shape)
         sky, sunlight = light(normals, self.viewpoint)
@@ -198,9 +194,7 @@ def framed(points: np.ndarray, azimuth: float, size: tuple[int, int]) -> Viewpoi
     return Viewpoint(tuple(target + CONTEXT * distance * towards_eye), tuple(target), HEIGHT_ANGLE)
 
 
-def _share_seen(
-    parts: Sequence[Mesh], scene: Sequence[Mesh], viewpoint: Viewpoint, shape: tuple[int, int]
-) -> float:
+def _share_seen(parts: Sequence[Mesh], scene: Sequence[Mesh], viewpoint: Viewpoint, shape: tuple[int, int]) -> float:
     """Mean over the parts of the share that is not behind the scene or an earlier part."""
     depth, shares = np.full(shape, np.inf), []
     for mesh in (*scene, *parts):

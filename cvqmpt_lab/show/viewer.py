@@ -38,6 +38,4 @@ def open_viewer(recording: Path) -> None:
         return
     if viewer.returncode != 0:
         reason = " ".join(errors.split())[-200:] or f"exit code {viewer.returncode}"
-        raise InvalidInputError(
-            f"cannot open the rerun viewer ({reason}): save a file (RUN.rrd) and open it elsewhere"
-        )
+        raise InvalidInputError(f"cannot open the rerun viewer ({reason}): save a file (RUN.rrd) and open it elsewhere")

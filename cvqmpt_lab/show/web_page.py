@@ -87,9 +87,7 @@ def save_page(solution: Solution, path: Path, carried: Sequence[Attachment] = ()
     return write_page(_page_of(solution.problem, shown, verdict, repr(solution).splitlines(), carried), path)
 
 
-def path_html(
-    problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()
-) -> str:
+def path_html(problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()) -> str:
     """The same html of states (m, n) [rad or m] of a path that is known to solve a problem, with a verdict in words."""
     return _html(_page_of(problem, JointPath(states), verdict, repr(problem).splitlines(), carried))[0]
 
@@ -202,9 +200,7 @@ def _few(path: JointPath) -> np.ndarray:
 def _scene(scene: Scene) -> list[Body]:
     """The scene's objects as pictures show them, and a part of the floor."""
     found = [
-        Body(
-            "scene", shape_mesh(item.shape).placed(item.T_world_object, (1.0, 1.0, 1.0)), colour_of(item.name)
-        )
+        Body("scene", shape_mesh(item.shape).placed(item.T_world_object, (1.0, 1.0, 1.0)), colour_of(item.name))
         for item in scene
         if item.obstacle and item.name not in HIDDEN
     ]

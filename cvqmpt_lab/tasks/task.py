@@ -42,9 +42,7 @@ class Move(Checked):
     name: Name  # Unique in its task
     goal: Region  # Poses of the end effector
     constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that it stays in on the way
-    through: Annotated[
-        tuple[Region, ...], OneOrMore(Region)
-    ] = ()  # Regions that it stops in before, in order
+    through: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that it stops in before, in order
 
     @property
     def legs(self) -> tuple["Move", ...]:

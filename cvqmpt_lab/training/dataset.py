@@ -185,9 +185,7 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
         shards = [_path_arrays(shard, robot) for shard in read_roadmap_shards(folder)]
     else:
         shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
-    digest = hashlib.sha256(
-        read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)
-    ).hexdigest()
+    digest = hashlib.sha256(read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)).hexdigest()
     return PathDataset(folder, robot, families, chain, digest, together_scenes(shards), _paths(shards))
 
 
@@ -195,14 +193,10 @@ def read_dataset_description(folder: Path) -> tuple[RobotSignature, tuple[str, .
     """Robot, families and kinematics of a dataset; InvalidInputError where its description is missing or malformed."""
     path = folder / DESCRIPTION_FILE
     if not path.exists():
-        raise InvalidInputError(
-            f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first"
-        )
+        raise InvalidInputError(f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first")
     description = read_json_object(require_regular_file(path))
     if description.get("schema") != SCHEMA:
-        raise InvalidInputError(
-            f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"
-        )
+        raise InvalidInputError(f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}")
     robot = _robot(description, path)
     families = from_plain(tuple[str, ...], description.get("families"), f"{path}: families")
     if not families:

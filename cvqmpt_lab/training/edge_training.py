@@ -57,9 +57,7 @@ def fit_network(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * -(-len(inputs) // batch))
     for _ in range(epochs):
         for rows in torch.randperm(len(inputs)).split(batch):
-            loss = nn.functional.binary_cross_entropy_with_logits(
-                network(inputs[rows])[..., 0], targets[rows]
-            )
+            loss = nn.functional.binary_cross_entropy_with_logits(network(inputs[rows])[..., 0], targets[rows])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

@@ -117,9 +117,7 @@ def _compact() -> Profile:
         name="compact",
         link_features=True,
         model=sizes.ModelConfig.compact(feature_dim=3, n_codes=1024),
-        mpnet_model=sizes.MPNetConfig(
-            n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3
-        ),
+        mpnet_model=sizes.MPNetConfig(n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3),
         stage1=Stage1Settings(
             epochs=10,
             batch=64,
@@ -150,9 +148,7 @@ def _compact() -> Profile:
 
 def _smoke() -> Profile:
     """The published architecture, small, all stages in minutes on a busy core: shows that everything runs, no more."""
-    small = sizes.TransformerConfig(
-        n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1
-    )
+    small = sizes.TransformerConfig(n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1)
     points = sizes.PointCloudConfig(
         sa1=sizes.SetAbstractionConfig(ratio=0.25, radius=0.25, max_neighbours=8, widths=(16, 32)),
         sa2=sizes.SetAbstractionConfig(ratio=0.25, radius=0.6, max_neighbours=16, widths=(48, 48)),

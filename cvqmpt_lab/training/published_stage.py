@@ -113,9 +113,7 @@ class PublishedStage(RoadmapStage):
 
     def _logits(self, scene: Scene, batch: dict[str, Tensor]) -> Tensor:
         """Logits (s, r, l + 1, N + 2): prefixes of one length are a batch, so that none is padded."""
-        ends = [
-            (chosen(batch[f"{end}s"], batch[end]) - self._lower) / self._range for end in ("start", "goal")
-        ]
+        ends = [(chosen(batch[f"{end}s"], batch[end]) - self._lower) / self._range for end in ("start", "goal")]
         context = self.model.encode_context(scene, *(end.flatten(0, 1) for end in ends))
         codes, count = batch["codes"].flatten(0, 1), batch["count"].flatten()
         steps, quantizer = [], self.dictionary.dictionary.quantizer
@@ -127,6 +125,4 @@ class PublishedStage(RoadmapStage):
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary with the sequence model as it stands."""
-        return Checkpoint(
-            self.config, self.dictionary.robot, self.dictionary.dictionary, self.model, metadata
-        )
+        return Checkpoint(self.config, self.dictionary.robot, self.dictionary.dictionary, self.model, metadata)

@@ -91,14 +91,10 @@ def open_roadmap_dataset(folder: Path) -> RoadmapDataset:
         )
     shards = read_roadmap_shards(folder)
     arrays = [no_links(shard) | shard.arrays for shard in shards]
-    found = np.isfinite(together(arrays, "cost")) & (
-        np.diff(together_ranges(arrays, "code_start", "codes")) > 0
-    )
+    found = np.isfinite(together(arrays, "cost")) & (np.diff(together_ranges(arrays, "code_start", "codes")) > 0)
     start = together_ranges(arrays, "code_start", "codes")
     count, codes = np.diff(start), together(arrays, "codes")
-    digest = hashlib.sha256(
-        read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)
-    ).hexdigest()
+    digest = hashlib.sha256(read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)).hexdigest()
     return RoadmapDataset(
         folder=folder,
         robot=robot,

@@ -42,16 +42,12 @@ class RoadmapSettings:
     paths: int = 96  # of each scene
     goals: int = 16  # different ones of each scene
     link_ends: int = 24  # configurations of each scene from which motions to codes are judged
-    cloud: CloudSettings = field(
-        default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
-    )
+    cloud: CloudSettings = field(default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3))
     validation_scenes: int = 70
     fine_tune: bool = False  # begin with the transformer of the dictionary's weights
     precision: Literal["float32", "bf16"] = "bf16"  # of most matrix products; losses are always float32
     optimizer: OptimizerSettings = field(
-        default_factory=lambda: OptimizerSettings(
-            rate=2e-3, warmup=100, schedule="cosine", weight_decay=0.01, clip=1.0
-        )
+        default_factory=lambda: OptimizerSettings(rate=2e-3, warmup=100, schedule="cosine", weight_decay=0.01, clip=1.0)
     )
 
     def __post_init__(self) -> None:
@@ -263,12 +259,8 @@ class RoadmapStage(Stage):
 
     def measured(self, rows: np.ndarray, other: np.ndarray | None = None) -> dict[str, float | None]:
         """The same in scenes `rows`; other (m, 3): the cloud of another scene, None for the next one of a batch."""
-        rows = rows[: len(rows) // self.settings.scenes * self.settings.scenes].reshape(
-            -1, self.settings.scenes
-        )
-        batches = RoadmapBatches(
-            self.dataset, self.settings, self.cloud_arrays, rows, (self.seed, 0), augmented=False
-        )
+        rows = rows[: len(rows) // self.settings.scenes * self.settings.scenes].reshape(-1, self.settings.scenes)
+        batches = RoadmapBatches(self.dataset, self.settings, self.cloud_arrays, rows, (self.seed, 0), augmented=False)
         means = Means()
         for number in range(len(batches)):
             batch = {name: torch.from_numpy(array).to(self.device) for name, array in batches[number].items()}

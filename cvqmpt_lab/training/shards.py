@@ -107,8 +107,7 @@ def finished_shards(folder: Path) -> list[IndexRow]:
     return [
         row
         for row in rows.values()
-        if files[row.shard].is_file()
-        and hashlib.sha256(read_bytes(files[row.shard])).hexdigest() == row.sha256
+        if files[row.shard].is_file() and hashlib.sha256(read_bytes(files[row.shard])).hexdigest() == row.sha256
     ]
 
 
@@ -163,15 +162,11 @@ def read_shard(
             raise InvalidInputError(f"{path}: array {name} is missing or not as described")
     wrong = [name for name, passes in _checks(arrays, row, joints, families) if not passes]
     if wrong:
-        raise InvalidInputError(
-            f"{path}: {', '.join(wrong)} does not fit the other arrays; generate it again"
-        )
+        raise InvalidInputError(f"{path}: {', '.join(wrong)} does not fit the other arrays; generate it again")
     return arrays
 
 
-def _checks(
-    arrays: dict[str, np.ndarray], row: IndexRow, joints: int, families: int
-) -> Iterator[tuple[str, bool]]:
+def _checks(arrays: dict[str, np.ndarray], row: IndexRow, joints: int, families: int) -> Iterator[tuple[str, bool]]:
     """What must hold, by the array to name when it does not."""
     s, m, p = (len(arrays[name]) for name in ("scene_seed", "shape_kind", "path_scene"))
     waypoints, path_start = arrays["waypoints"], arrays["path_start"]
@@ -200,9 +195,7 @@ def _are_finite(values: np.ndarray) -> bool:
 
 def _are_ranges(start: np.ndarray, count: int, total: int) -> bool:
     """Whether start (count + 1,) divides a total of items into ranges."""
-    return (
-        len(start) == count + 1 and start[0] == 0 and start[-1] == total and bool((np.diff(start) >= 0).all())
-    )
+    return len(start) == count + 1 and start[0] == 0 and start[-1] == total and bool((np.diff(start) >= 0).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,9 +206,7 @@ class RoadmapGraph:
     edges: np.ndarray  # (E, 2) int32, each pair once
     node_possible: np.ndarray  # (N,) bool: free in an empty scene
     edge_possible: np.ndarray  # (E,) bool, likewise
-    body_joint: (
-        np.ndarray
-    )  # (k,) int64, joint that moves each body point, see `labels.roadmap_labels.body_points`
+    body_joint: np.ndarray  # (k,) int64, joint that moves each body point, see `labels.roadmap_labels.body_points`
     body_offset: np.ndarray  # (k, 3) [m], where each is in that joint's frame
 
     @property

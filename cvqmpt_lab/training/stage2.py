@@ -151,9 +151,7 @@ class Stage2(SceneStage):
     def _examples(self, batch: dict[str, Tensor]) -> _Examples:
         u, counts = batch["u"], batch["counts"]
         codes = self._codes(u, counts)
-        sequences = code_sequences(
-            codes, counts, self.config.stage2[1].max_length - 1, self.config.goal_class
-        )
+        sequences = code_sequences(codes, counts, self.config.stage2[1].max_length - 1, self.config.goal_class)
         last = u[torch.arange(len(u), device=u.device), counts - 1]
         ends = torch.stack((u[:, 0], last), 1)
         both = torch.stack((ends, ends.flip(1)), 1).flatten(0, 1)

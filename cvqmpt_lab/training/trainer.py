@@ -141,9 +141,7 @@ def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
                 f"{folder} holds another training ({min(found, key=len)}); use the same or choose another --out"
             )
     elif any(make_folder(folder).iterdir()):
-        raise InvalidInputError(
-            f"{folder} is not empty and holds no training to continue; choose another --out"
-        )
+        raise InvalidInputError(f"{folder} is not empty and holds no training to continue; choose another --out")
     else:
         write_text(path, json.dumps(settings, indent=2) + "\n")
 
@@ -151,9 +149,7 @@ def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
 class Trainer:
     """A stage that is trained in a folder for some epochs."""
 
-    def __init__(
-        self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]) -> None:
         self.stage, self.folder, self.epochs, self.workers = stage, folder, epochs, workers
         self.metadata, (self.rank, self.processes) = metadata, joined_processes()
         self.progress, self.optimizer = Progress(), stage.optimizer.build(stage.module)

@@ -99,9 +99,7 @@ def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator)
     return points[_inside_crop(points, settings.crop)][: settings.points]
 
 
-def measured_points(
-    shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
+def measured_points(shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Points (k, 3) float32 [m] that cameras at places (c, 3), looking at target (3,), measure, in random order."""
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
     solids: list[Solid] = [SOLIDS[kind](T, size) for kind, size, T in described]

@@ -69,9 +69,7 @@ def smooth_curve(waypoints: np.ndarray, deviation: float) -> SmoothCurve:
             return SmoothCurve(spline, knots, measured, marks)
         aim *= 0.9 * deviation / measured
         spacing *= np.sqrt(0.9 * deviation / measured)
-    raise InvalidInputError(
-        f"no smooth curve within {deviation} rad of the path was found; give a larger deviation"
-    )
+    raise InvalidInputError(f"no smooth curve within {deviation} rad of the path was found; give a larger deviation")
 
 
 def checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
@@ -79,9 +77,7 @@ def checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     try:
         states = np.array(waypoints, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(
-            "waypoints are not an array of numbers: give (m, n) joint values [rad]"
-        ) from error
+        raise InvalidInputError("waypoints are not an array of numbers: give (m, n) joint values [rad]") from error
     if states.ndim != 2 or len(states) < 2 or states.shape[1] == 0:
         raise InvalidInputError(
             f"waypoints have shape {states.shape}: give (m, n), two or more, one value a joint [rad]"

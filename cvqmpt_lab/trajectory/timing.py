@@ -81,9 +81,7 @@ def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) ->
     )
 
 
-def _excess(
-    curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarray, limits: JointLimits
-) -> float:
+def _excess(curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarray, limits: JointLimits) -> float:
     """Factor on time (1 to about 1.002) that brings every joint within its limits between grid points."""
     grid = curve.grid
     share = np.linspace(0.0, 1.0, CHECKS)

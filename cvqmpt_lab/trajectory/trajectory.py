@@ -41,9 +41,7 @@ class Trajectory:
     deviation: float = 0.0  # largest distance from the path that was timed [rad]
 
     def __repr__(self) -> str:
-        return (
-            f"Trajectory of {len(self.joint_names)} joints, {len(self.times)} states, {self.duration:.2f} s"
-        )
+        return f"Trajectory of {len(self.joint_names)} joints, {len(self.times)} states, {self.duration:.2f} s"
 
     @property
     def duration(self) -> float:

@@ -61,9 +61,7 @@ def read_motion(path: Path) -> Motion:
         raise InvalidInputError(f"motion {path} is not understood: {why}") from error
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
-            raise InvalidInputError(
-                f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states"
-            )
+            raise InvalidInputError(f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states")
     if motion.joint_names is not None and motion.positions.shape[1] != len(motion.joint_names):
         raise InvalidInputError(
             f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} values a state"
@@ -87,9 +85,7 @@ def _from_csv(text: str) -> Motion:
     expected = ["time", *(f"{name}_{kind}" for kind in KINDS for name in names)]
     if not names or len(columns) != len(header) or not set(header) <= set(expected):
         odd = next((name for name in header if name not in expected), header[0])
-        raise InvalidInputError(
-            f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
-        )
+        raise InvalidInputError(f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity")
     position, *rest = (
         np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
         if any(column.endswith(f"_{kind}") for column in header)
@@ -135,9 +131,7 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
     for key in ("positions", "velocities", "accelerations"):
         given = [bool(point.get(key)) for point in points]
         if any(given) and not all(given):
-            raise InvalidInputError(
-                f"point {given.index(False)} has no {key!r}, others have: give all or none"
-            )
+            raise InvalidInputError(f"point {given.index(False)} has no {key!r}, others have: give all or none")
         kinds.append(_table([point[key] for point in points]) if all(given) else None)
     if kinds[0] is None:
         raise InvalidInputError("a point has no 'positions'")

@@ -66,18 +66,14 @@ class Block:
     context: keys and values are those of other tokens, which have a norm of their own.
     """
 
-    def __init__(
-        self, layers: Layers, name: str, width: int, heads: int, inner: int, context: bool = False
-    ) -> None:
+    def __init__(self, layers: Layers, name: str, width: int, heads: int, inner: int, context: bool = False) -> None:
         norm, context_norm, inner_norm = (
             layers.norm(f"{name}.{which}", width) for which in ("norm", "context_norm", "inner_norm")
         )
         weight, bias = layers.linear(f"{name}.query", width, width)
         scale = np.float32((width // heads) ** -0.5)  # of scores, taken into the queries
         query = norm.then(Linear(scale * weight, scale * bias))
-        key_value = (context_norm if context else norm).then(
-            layers.linear(f"{name}.key_value", width, 2 * width)
-        )
+        key_value = (context_norm if context else norm).then(layers.linear(f"{name}.key_value", width, 2 * width))
         self.heads, self.width = heads, width
         self.query, self.key_value = query, key_value
         self.all = Linear(*(np.concatenate(parts, axis=-1) for parts in zip(query, key_value, strict=True)))

@@ -104,8 +104,7 @@ def beam_search(
         if len(found) == queries:
             break
     return [
-        found[query] if query in found else hypotheses.sequence(query, best[query], goal)
-        for query in range(queries)
+        found[query] if query in found else hypotheses.sequence(query, best[query], goal) for query in range(queries)
     ]
 
 

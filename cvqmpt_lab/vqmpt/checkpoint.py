@@ -79,9 +79,7 @@ def stored(checkpoint: Trained) -> StoredModel:
         for name, module in checkpoint.parts.items()
     }
     parts |= getattr(checkpoint, "others", {})
-    return StoredModel(
-        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
-    )
+    return StoredModel(checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata)
 
 
 def save_checkpoint(folder: Path, checkpoint: Trained) -> None:

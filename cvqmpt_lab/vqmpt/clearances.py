@@ -70,9 +70,7 @@ def fill_distances(
     for x in range(square.shape[0]):
         for y in range(square.shape[1]):
             for z in range(square.shape[2]):
-                distance[x, y, z] = np.uint8(
-                    np.sqrt(square[x, y, z]) * np.float32(STEPS / REACH) + np.float32(0.5)
-                )
+                distance[x, y, z] = np.uint8(np.sqrt(square[x, y, z]) * np.float32(STEPS / REACH) + np.float32(0.5))
 
 
 @kernel(inline="source")

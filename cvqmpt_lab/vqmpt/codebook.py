@@ -57,9 +57,7 @@ class CodeDecoder:
         w_out, b_out = model.linear(DICTIONARY, "quantizer.output_linear_map", sizes.code_dim, d)
         w_1, b_1 = model.linear(DICTIONARY, "decoder.pos_ffn.w_1", d, inner)
         w_2, b_2 = model.linear(DICTIONARY, "decoder.pos_ffn.w_2", inner, d)
-        gain, offset = (
-            model.array(DICTIONARY, f"decoder.pos_ffn.layer_norm.{name}", d) for name in ("weight", "bias")
-        )
+        gain, offset = (model.array(DICTIONARY, f"decoder.pos_ffn.layer_norm.{name}", d) for name in ("weight", "bias"))
         outputs = {"mu": n, "diag": n, "l": n * (n - 1) // 2}
         heads = [model.linear(DICTIONARY, f"decoder.{name}.0", d, size) for name, size in outputs.items()]
         head_w, head_b = (np.concatenate(parts) for parts in zip(*heads, strict=True))

@@ -104,9 +104,7 @@ class PointCloudConfig:
 class SequenceConfig:
     """Stage 2: scene, start and goal -> sequence of codes."""
 
-    context: TransformerConfig = field(
-        default_factory=TransformerConfig
-    )  # start and goal attend to the scene
+    context: TransformerConfig = field(default_factory=TransformerConfig)  # start and goal attend to the scene
     transformer: TransformerConfig = field(default_factory=TransformerConfig)  # the autoregressive model
     max_length: int = 50  # tokens predicted at most, the goal token included
 

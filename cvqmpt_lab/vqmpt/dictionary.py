@@ -314,9 +314,7 @@ class Dictionary(nn.Module):
         else:
             self.encoder = WaypointEncoder(config.configuration_dim, sizes)
         self.quantizer = Quantizer(options.n_codes, options.code_dim, sizes.d_model)
-        self.decoder = GaussianDecoder(
-            sizes.d_model, sizes.d_inner, config.joint_dim, options.decoder_dropout
-        )
+        self.decoder = GaussianDecoder(sizes.d_model, sizes.d_inner, config.joint_dim, options.decoder_dropout)
 
     def forward(self, waypoints: Tensor) -> DictionaryOutput:
         """Encode and decode waypoints (b, t, configuration_dim): joints in [0, 1], then features [m], if any.

@@ -52,9 +52,7 @@ class EdgeModel:
     def log_odds(self, cloud: np.ndarray, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Every joint's smallest clearance (b, n) [m] and log odds (b,) of straight motions (b, 2, n)."""
         clearance, odds = np.empty((len(motions), self.robot.dof)), np.empty(len(motions))
-        motion_log_odds(
-            self.robot.kinematics, self.arrays(cloud), np.ascontiguousarray(motions), clearance, odds
-        )
+        motion_log_odds(self.robot.kinematics, self.arrays(cloud), np.ascontiguousarray(motions), clearance, odds)
         return clearance, odds
 
 

@@ -42,9 +42,7 @@ class EncodedScene:
     edge_odds: np.ndarray  # (E,)
     arc_cost: np.ndarray  # (2 E,) float64 [rad], length - w log P(free)
     arc_table: np.ndarray  # (N, w) [rad], the same by node, 0 where there is no arc
-    landmarks: tuple[
-        tuple[np.ndarray, np.ndarray], ...
-    ]  # keys and values for each block that reads landmarks
+    landmarks: tuple[tuple[np.ndarray, np.ndarray], ...]  # keys and values for each block that reads landmarks
 
 
 class Ends(NamedTuple):
@@ -78,8 +76,7 @@ class SceneLooker:
         sizes, count = self.config.sizes, self.config.n_nodes
         d, e, points = sizes.width, sizes.edge_width, len(self.config.body.points)
         self._points = [
-            layers.linear(f"scene.points.{k}", *widths)
-            for k, widths in ((0, (3, 64)), (2, (64, 64)), (4, (64, 128)))
+            layers.linear(f"scene.points.{k}", *widths) for k, widths in ((0, (3, 64)), (2, (64, 64)), (4, (64, 128)))
         ]
         self._join = layers.linear("scene.join", 128 + 3 + 6 * WAVES, d)
         self._scene_block = Block(layers, "scene.block", d, 8, 4 * d)
@@ -190,9 +187,7 @@ class SceneLooker:
     def encode(self, centres: np.ndarray, offsets: np.ndarray) -> EncodedScene:
         """Look at a scene, given as groups of points (see `point_groups`), from every code."""
         look = self._look(centres, offsets)
-        codes = self._looked(
-            look, self._node_embedding, self._node_own, self._node_points, self._node_queries
-        )
+        codes = self._looked(look, self._node_embedding, self._node_own, self._node_points, self._node_queries)
         parts = self._part(codes)
         pairs = np.take(parts, self.edges[:, 0], axis=0)
         pairs += np.take(parts, self.edges[:, 1], axis=0)
@@ -248,9 +243,7 @@ def _roadmap(model: StoredModel, config: SceneTransformerConfig) -> tuple[np.nda
         raise InvalidInputError(f"{PART} is for {count} codes, the dictionary has {codes}; train it again")
     for name in ("lower", "upper"):
         if not np.allclose(getattr(config, name), getattr(model.robot, name), atol=1e-6, rtol=0.0):
-            raise InvalidInputError(
-                f"{PART} was made with other {name} limits than its weights' robot; train it again"
-            )
+            raise InvalidInputError(f"{PART} was made with other {name} limits than its weights' robot; train it again")
     nodes = model.array(PART, "nodes", count, config.joint_dim)
     edges = model.parts[PART].get("edges")
     if edges is None or edges.shape != (config.n_edges, 2) or edges.dtype.kind not in "iu":

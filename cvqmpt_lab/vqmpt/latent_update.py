@@ -42,9 +42,7 @@ class LatentSettings:
             raise UnknownChoiceError("method of the latent optimizer", self.method, get_args(Method))
         for name in ("steps", "samples", "check_samples"):
             if getattr(self, name) < 1:
-                raise InvalidInputError(
-                    f"{name} of the latent optimizer is {getattr(self, name)}; give 1 or more"
-                )
+                raise InvalidInputError(f"{name} of the latent optimizer is {getattr(self, name)}; give 1 or more")
         if not 0.0 < self.eta < np.inf:
             raise InvalidInputError(f"eta of the latent optimizer is {self.eta}; give more than 0")
         if not 0.0 <= self.delta < np.inf:

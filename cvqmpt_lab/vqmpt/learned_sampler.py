@@ -39,9 +39,7 @@ class CodeProposal(Proposal):
     """A proposal that remembers the codes it was made of."""
 
     codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
-    goals: np.ndarray = field(
-        default_factory=lambda: np.empty((0, 0))
-    )  # (k, n) that have Gaussians [rad or m]
+    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) that have Gaussians [rad or m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +60,7 @@ class CodeGaussians:
         nodes = drawn_nodes(means, widened(covariances, SMALLEST_STD), self.robot, self.noise[codes])
         return nodes, widened(covariances, WIDTH)
 
-    def mixture(
-        self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray
-    ) -> GaussianMixture:
+    def mixture(self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> GaussianMixture:
         """The mixture of these Gaussians and one around each of goals (k, n)."""
         spread = np.diag((GOAL_STD * (self.robot.upper - self.robot.lower)) ** 2)
         around = np.broadcast_to(spread, (len(goals), *spread.shape))
@@ -115,9 +111,7 @@ class CodesMoved:
         before, after = moved.g_before.mean(), moved.g_after.mean()
         return replace(
             proposal,
-            distribution=self.gaussians.mixture(
-                query, proposal.goals, *self.gaussians.of(proposal.codes, moved.z)
-            ),
+            distribution=self.gaussians.mixture(query, proposal.goals, *self.gaussians.of(proposal.codes, moved.z)),
             timings=replace(proposal.timings, optimize=moved.seconds),
             detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
         )

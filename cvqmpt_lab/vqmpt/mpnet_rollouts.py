@@ -49,8 +49,7 @@ class MPNetNetwork:
         ]
         self._encoder.append(_Layer(model, f"encoder.{last}", encoder[-1], config.code_dim))
         self._hidden = [
-            _Layer(model, f"hidden.{i}.0", *widths, slope=f"hidden.{i}.1")
-            for i, widths in enumerate(pairwise(hidden))
+            _Layer(model, f"hidden.{i}.0", *widths, slope=f"hidden.{i}.1") for i, widths in enumerate(pairwise(hidden))
         ]
         self._out = _Layer(model, "out", hidden[-1], config.joint_dim)
         expected = 2 + sum(2 if layer.slope is None else 3 for layer in (*self._encoder, *self._hidden))
@@ -98,9 +97,7 @@ class MPNetNetwork:
 class _Layer:
     """x -> W x + b, then a PReLU where a slope is named."""
 
-    def __init__(
-        self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None
-    ) -> None:
+    def __init__(self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None) -> None:
         weight, bias = model.linear(PART, name, inputs, outputs)
         self.weight, self.bias = np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32)
         self.slope = None if slope is None else model.array(PART, f"{slope}.weight", 1).astype(np.float32)

@@ -69,9 +69,7 @@ class Predictor:
                 self._scenes.popitem(last=False)
         return self._scenes[key]
 
-    def predict(
-        self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, use_cache: bool = True
-    ) -> Prediction:
+    def predict(self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, use_cache: bool = True) -> Prediction:
         """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses, or a start or goal outside the joint limits.

@@ -37,9 +37,7 @@ class SamplerChoice:
     gaussians: str = "decoded"  # of GAUSSIANS
     update: str = "none"  # of UPDATES
     cloud: str = "own-cloud"  # of CLOUDS
-    uniform_share: float = (
-        0.0  # of samples between the joint limits; at 0 a planner is not probabilistically complete
-    )
+    uniform_share: float = 0.0  # of samples between the joint limits; at 0 a planner is not probabilistically complete
     sequences: str = "likeliest"  # of SEQUENCES; of the transformer
 
     def __post_init__(self) -> None:
@@ -63,9 +61,7 @@ class SamplerChoice:
                 known = [*(word for words in WORDS.values() for word in words), f"{UNIFORM}0.15"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
-                raise InvalidInputError(
-                    f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
-                )
+                raise InvalidInputError(f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second")
             found[kind] = _share(word) if kind == "uniform_share" else word
         if found.get("gaussians") == "wide":
             found.setdefault("uniform_share", WIDE_SHARE)

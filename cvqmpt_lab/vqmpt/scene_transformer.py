@@ -101,9 +101,7 @@ class SceneEncoder(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.points = nn.Sequential(
-            nn.Linear(3, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 128)
-        )
+        self.points = nn.Sequential(nn.Linear(3, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 128))
         self.join = nn.Linear(128 + 3 + 6 * WAVES, width)
         self.block, self.norm = Block(width, 8, 4 * width), nn.LayerNorm(width)
         self.register_buffer("waves", torch.pi * 2.0 ** torch.arange(WAVES), persistent=False)
@@ -186,9 +184,7 @@ class SceneTransformer(nn.Module):
         self.place = nn.Parameter(0.02 * torch.randn(LONGEST + 2, d))
         self.enter = nn.Linear(d, d)
         self.blocks = nn.ModuleList(Block(d, config.sizes.heads, 4 * d) for _ in range(config.sizes.layers))
-        self.reads = nn.ModuleList(
-            Block(d, config.sizes.heads, 2 * d) for _ in range(config.sizes.layers - 1)
-        )
+        self.reads = nn.ModuleList(Block(d, config.sizes.heads, 2 * d) for _ in range(config.sizes.layers - 1))
         self.norm, self.out, self.key = nn.LayerNorm(d), nn.Linear(d, d), nn.Linear(d, d)
         self.goal_key, self.goal_bias = nn.Linear(d, d), nn.Parameter(torch.zeros(1))
         self.gate, self.way = nn.Linear(d, 1), nn.Parameter(torch.tensor(5.0))
@@ -257,9 +253,7 @@ class SceneTransformer(nn.Module):
         """Look at scenes from starts or goals q (s, u, n) [rad], and half way to the codes near them."""
         s = len(q)
         seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
-        length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(
-            self.config.sizes.links, largest=False
-        )
+        length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(self.config.sizes.links, largest=False)
         return Ends(seen, near, length + RISK * F.softplus(-self._link_odds(scenes, q, seen, near)))
 
     def link_odds(self, scenes: Scenes, q: Tensor, near: Tensor) -> Tensor:
@@ -272,9 +266,7 @@ class SceneTransformer(nn.Module):
         half_way = (0.5 * (q[:, :, None] + self.nodes[near])).flatten(1, 2)
         middle = self.look(*self.configurations(half_way), scenes.tokens, scenes.centres)
         x = self.middle(middle).float().unflatten(1, (u, -1)) + self.part(seen).float()[:, :, None]
-        x = x + scenes.parts.gather(1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])).unflatten(
-            1, (u, -1)
-        )
+        x = x + scenes.parts.gather(1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])).unflatten(1, (u, -1))
         return self.link(x.relu())[..., 0].float()
 
     @torch.no_grad()
@@ -304,10 +296,7 @@ class SceneTransformer(nn.Module):
         (s, r, length), d, graph = codes.shape, self.config.sizes.width, self.graph
         taken = scenes.codes.gather(1, codes.flatten(1)[..., None].expand(-1, -1, d)).view(s, r, length, d)
         parts = ((goal.seen[:, :, None], 0), (start.seen[:, :, None], 1), (taken, 2))
-        x = (
-            torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2)
-            + self.place[: length + 2]
-        )
+        x = torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2) + self.place[: length + 2]
         landmarks = scenes.codes[:, :: self.config.sizes.stride]
         for number, block in enumerate(self.blocks):
             x = block(x.flatten(0, 1), causal=True).view(s, -1, d)
@@ -317,9 +306,7 @@ class SceneTransformer(nn.Module):
         x = self.norm(x[:, :, 1:])
         pointer, gate = self.out(x), F.softplus(self.gate(x)).float()
         scale = d**-0.5
-        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(
-            s, r, length + 1, -1
-        ) * scale
+        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(s, r, length + 1, -1) * scale
         to_goal = (pointer * self.goal_key(goal.seen)[:, :, None]).sum(-1).float() * scale + self.goal_bias
         first = start.cost + V.gather(2, start.near)
         first = self.way - gate[:, :, 0] * (first - first.amin(-1, keepdim=True)).clamp(max=WORST)
@@ -327,9 +314,7 @@ class SceneTransformer(nn.Module):
         goals = [to_goal[:, :, :1]]
         if length:
             here, neighbour = V.gather(2, codes), graph.neighbour[codes]
-            arcs = self.arc_costs(scenes).gather(
-                1, codes.flatten(1)[..., None].expand(-1, -1, neighbour.shape[-1])
-            )
+            arcs = self.arc_costs(scenes).gather(1, codes.flatten(1)[..., None].expand(-1, -1, neighbour.shape[-1]))
             there = V.gather(2, neighbour.flatten(2)).view(neighbour.shape)
             advantage = (arcs.view(neighbour.shape) + there - here[..., None]).clamp(0.0, WORST)
             bonus = (self.way - gate[:, :, 1:] * advantage).masked_fill(graph.padding[codes] > 0.0, 0.0)
@@ -341,17 +326,13 @@ class SceneTransformer(nn.Module):
         return torch.cat((torch.cat(steps, 2), torch.cat(goals, 2)[..., None]), -1)
 
 
-def roadmap_ways(
-    nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
-) -> Tensor:
+def roadmap_ways(nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor) -> Tensor:
     """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on a roadmap.
 
     nodes (N, n), edges (E, 2); links: nodes that a start or goal leads to; start, goal (s, r, n) [rad].
     """
     near = [torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)]
-    first, last = (
-        torch.zeros(len(rows), len(nodes) + 1, device=codes.device).scatter(1, rows, 1.0) for rows in near
-    )
+    first, last = (torch.zeros(len(rows), len(nodes) + 1, device=codes.device).scatter(1, rows, 1.0) for rows in near)
     table = torch.zeros(len(nodes), len(nodes) + 1, device=codes.device)
     table[edges[:, 0], edges[:, 1]] = table[edges[:, 1], edges[:, 0]] = 1.0
     following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)

@@ -102,9 +102,7 @@ class SequenceDecoder:
         link = self._link[goal, codes][:, None]
         leads = np.isfinite(link)
         extra = gate * np.clip(np.where(leads, link, 0.0) - here, np.float32(0.0), np.float32(WORST))
-        to_goal = np.einsum("rd,rd->r", pointer, self._goal_keys[goal])[:, None] + np.float32(
-            network.goal_bias
-        )
+        to_goal = np.einsum("rd,rd->r", pointer, self._goal_keys[goal])[:, None] + np.float32(network.goal_bias)
         logits[:, -1:] = np.where(leads, to_goal - extra, -np.inf)
         ways = np.concatenate([table, np.full((len(codes), 1), len(arcs.table), dtype=table.dtype)], axis=1)
         return ways, _log_softmax(logits)

@@ -121,9 +121,7 @@ def bench_scan() -> Iterator[Measurement]:
             assert solution.solved, solution.plan.status
 
         for what, call in {
-            "10^6 points of a PCD: load, crop, 1 cm voxels": lambda: scan(
-                [read_capture(million)], cropped, rng
-            ),
+            "10^6 points of a PCD: load, crop, 1 cm voxels": lambda: scan([read_capture(million)], cropped, rng),
             "depth image 640 x 576: read, points": lambda: read_capture(*files),
             "supporting plane of it": lambda: supporting_plane(capture.points, CAMERA_UP, CAMERA_TILT, rng),
             "points on the arm": lambda: near_robot(seen, robot, START, 0.05),

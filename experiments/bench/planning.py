@@ -47,8 +47,7 @@ def bench_planners(problems: int) -> Iterator[Measurement]:
     cases = _posed(problems)
     for name in PLANNERS:
         runs = [  # the first one only loads code
-            solve(problem, name, Budget(seconds=10.0), seed=0, clearance=False)
-            for problem in (cases[0], *cases)
+            solve(problem, name, Budget(seconds=10.0), seed=0, clearance=False) for problem in (cases[0], *cases)
         ][1:]
         solved = [run.plan.status is PlanStatus.SOLVED for run in runs]
         times = [1e3 * run.plan.seconds if ok else np.inf for run, ok in zip(runs, solved, strict=True)]
@@ -125,9 +124,7 @@ def bench_networks(problems: int) -> Iterator[Measurement]:
         for _ in range(REPEATS):
             clock(f"distance field and edge costs, {len(cloud)} points", observe)
             query = Query.of(space, Budget(seconds=60.0), rng)
-            proposal = clock(
-                "prediction of sequences to all goals", stages.predict, query, Observation(cloud)
-            )
+            proposal = clock("prediction of sequences to all goals", stages.predict, query, Observation(cloud))
             clock(f"latent update, {STEPS} steps", stages.update, query, proposal)
     yield from clock.measurements()
 

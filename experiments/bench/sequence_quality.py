@@ -144,9 +144,6 @@ def _predicts(stored: StoredModel, robot: Robot) -> Predicts:
 
     def nearest(cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> Hypotheses:
         chosen = goals[np.argsort(np.linalg.norm(goals - start, axis=1))[:GOALS]]
-        return [
-            (goal, [s])
-            for goal, s in zip(chosen, published.predict(cloud, start, chosen).sequences, strict=True)
-        ]
+        return [(goal, [s]) for goal, s in zip(chosen, published.predict(cloud, start, chosen).sequences, strict=True)]
 
     return nearest

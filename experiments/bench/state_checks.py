@@ -57,9 +57,7 @@ def bench_collision(problem: PlanningProblem, states: int) -> Iterator[Measureme
     yield _state_checks("kitchen, all states", space.arrays, some)
     yield _state_checks("kitchen, free states", space.arrays, free)
     few = free[:1000]
-    yield Measurement(
-        "kitchen, free states, coal from Python", "us", lambda: exact.in_collision_batch(few), len(few)
-    )
+    yield Measurement("kitchen, free states, coal from Python", "us", lambda: exact.in_collision_batch(few), len(few))
     for name, compared in (
         ("random", robot.random_configurations(rng, states)),
         ("near-contact", near_contact(problem, space, rng, states)),
@@ -82,9 +80,7 @@ def _state_checks(name: str, arrays: Space, states: np.ndarray) -> Measurement:
     return Measurement(f"state check: {name}", "us", lambda: states_valid(arrays, states, out), len(states))
 
 
-def _crowded(
-    problem: PlanningProblem, name: str, space: ConstrainedSpace, scene: Scene
-) -> Iterator[Measurement]:
+def _crowded(problem: PlanningProblem, name: str, space: ConstrainedSpace, scene: Scene) -> Iterator[Measurement]:
     """Building the arrays of many obstacles, once since they are remembered, and checking against them."""
     began = time.perf_counter()
     geometry = scene_arrays(scene, problem.robot.reach)
@@ -100,9 +96,7 @@ def _on_shell(count: int, rng: np.random.Generator) -> np.ndarray:
     return direction * rng.uniform(0.7, 1.1, (count, 1)) + (0.0, 0.0, 0.33)
 
 
-def near_contact(
-    problem: PlanningProblem, space: ConstrainedSpace, rng: np.random.Generator, count: int
-) -> np.ndarray:
+def near_contact(problem: PlanningProblem, space: ConstrainedSpace, rng: np.random.Generator, count: int) -> np.ndarray:
     """Configurations (count, n) around first contacts, which bisection between random states finds [rad]."""
     found, missing = [np.empty((0, problem.robot.dof))], count
     while missing > 0:

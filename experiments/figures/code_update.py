@@ -72,9 +72,7 @@ class CodeUpdate:
 
     def rows(self) -> list[dict[str, object]]:
         """A row a Gaussian: F^T F at its mean, mean of F^T F of its draws, share of them where F is zero."""
-        centres = {
-            when: squared_residual(self.problem.manifold, getattr(self, when).means) for when in COLOURS
-        }
+        centres = {when: squared_residual(self.problem.manifold, getattr(self, when).means) for when in COLOURS}
         g = {when: self.g(when) for when in COLOURS}
         return [
             {
@@ -128,10 +126,7 @@ def histogram_rows(updates: Sequence[CodeUpdate]) -> list[dict[str, object]]:
         counts = {
             when: np.histogram(
                 np.concatenate(
-                    [
-                        n[: len(u.codes) if what == "codes" else None].ravel()
-                        for n, u in zip(side, updates, strict=True)
-                    ]
+                    [n[: len(u.codes) if what == "codes" else None].ravel() for n, u in zip(side, updates, strict=True)]
                 ),
                 edges,
             )[0]
@@ -159,9 +154,7 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
     left, middle, right = figure.subplots(1, 3)
     draw_norms(left, updates)
     rows = [row for update in updates for row in update.rows()]
-    codes = np.array(
-        [(row["g_before"], row["g_after"]) for row in rows if row["code"] != "goal"], dtype=float
-    )
+    codes = np.array([(row["g_before"], row["g_after"]) for row in rows if row["code"] != "goal"], dtype=float)
     lowest = max(codes.min(), 1e-6)
     span = (0.7 * lowest, 1.4 * codes.max())
     middle.plot(span, span, ":", color="0.5", label="not moved")

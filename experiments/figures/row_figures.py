@@ -105,15 +105,12 @@ def draw_difficulty(folder: Path, out: Path) -> list[Path]:
     """Search with other seeds, then draw ratios and success by how hard problems are; errors as of `read_rows`."""
     rows = rows_of_one_suite(read_rows(folder / RUNS_FILE))
     suite = suite_named(rows[0].suite)
-    named = {
-        row.problem: suite.solvable(int(row.item)) for row in rows if row.planner == REFERENCE and row.solved
-    }
+    named = {row.problem: suite.solvable(int(row.item)) for row in rows if row.planner == REFERENCE and row.solved}
     hard = {name: difficulty(item) for name, item in named.items() if isinstance(item, PlanningProblem)}
     groups, parts = by_planner(rows, ()), bins_of(hard)
     centres = [float(median(hard[name] for name in part)) for part in parts]
     by_part = {
-        name: [[row for row in group if row.problem in part] for part in parts]
-        for name, group in groups.items()
+        name: [[row for row in group if row.problem in part] for part in parts] for name, group in groups.items()
     }
     found: dict[str, dict[str, list[Interval]]] = {
         what: {
@@ -136,9 +133,7 @@ def draw_difficulty(folder: Path, out: Path) -> list[Path]:
         )
         for what, lines in found.items()
     ]
-    found["solved"] = {
-        name: [fraction(chosen, solved).scaled(100) for chosen in by_part[name]] for name in groups
-    }
+    found["solved"] = {name: [fraction(chosen, solved).scaled(100) for chosen in by_part[name]] for name in groups}
     # no bands: many lie upon each other at 100 %
     panels.append(Panel("solved [%]", label, "%", centres, found["solved"], log=(True, False), bands=False))
     lines = [
@@ -206,11 +201,7 @@ def _draw_level(axes: Axes, levels: Sequence[Entry], what: str) -> None:
     values = list(dict.fromkeys(level.group[1] for level in levels))
     planners = list(dict.fromkeys(level.planner for level in levels))
     for k, planner in enumerate(planners):
-        found = [
-            (values.index(level.group[1]), level.measured[what])
-            for level in levels
-            if level.planner == planner
-        ]
+        found = [(values.index(level.group[1]), level.measured[what]) for level in levels if level.planner == planner]
         known = [(x, i.estimate, i.low, i.high) for x, i in found if i.estimate is not None]
         if not known:
             continue

@@ -53,9 +53,7 @@ def reproduce_figure(
     }
     session = provenance(command, [settings.seed], {MODEL: weights_digest(folder)})
     record = _record(out, configuration, session)
-    updates = [
-        update_codes(each, str(folder), settings) for each in posed if isinstance(each, PlanningProblem)
-    ]
+    updates = [update_codes(each, str(folder), settings) for each in posed if isinstance(each, PlanningProblem)]
     record.create(configuration, session)
     return updates, [*FIGURES[figure](updates, out), record.path]
 
@@ -112,14 +110,9 @@ def summary(updates: Sequence[CodeUpdate]) -> list[str]:
     codes = [len(update.codes) for update in updates]
     lines = [f"{len(updates)} problems, {sum(codes)} codes, {min(codes)} to {max(codes)} a problem"]
     for what, last in (("codes", True), ("all that is sampled, goals included", False)):
-        g = {
-            when: [u.g(when)[: len(u.codes) if last else None] for u in updates]
-            for when in ("before", "after")
-        }
+        g = {when: [u.g(when)[: len(u.codes) if last else None] for u in updates] for when in ("before", "after")}
         mean = {when: np.median([values.mean() for values in found]) for when, found in g.items()}
-        norm = {
-            when: np.median([np.median(np.sqrt(values)) for values in found]) for when, found in g.items()
-        }
+        norm = {when: np.median([np.median(np.sqrt(values)) for values in found]) for when, found in g.items()}
         lines.append(
             f"{what}: mean F^T F {mean['before']:.3g} before, {mean['after']:.3g} after; "
             f"median |F| {norm['before']:.3g} before, {norm['after']:.3g} after"

@@ -72,9 +72,7 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     lean is where F(q) = 0.
     """
     problem, every = update.problem, range(len(update.before.means))
-    start, *goals = (
-        poses_along(problem.robot, q[None])[1][0, :3, 3] for q in (problem.start, *_goals(update))
-    )
+    start, *goals = (poses_along(problem.robot, q[None])[1][0, :3, 3] for q in (problem.start, *_goals(update)))
     figure = Figure(figsize=(14.4, 7.6), layout="constrained")
     (scene, *pictures), (histogram, *planes) = figure.subplots(2, 3, height_ratios=(1.25, 1.0))
     image = still_image(problem, problem.start, PICTURE, viewpoint)
@@ -85,9 +83,7 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     for points, colour, label in (([start], START_COLOUR, "start"), (goals, GOAL_COLOUR, "goals")):
         x, y, _ = viewpoint.screen(np.array(points), image.shape[:2]).T
         scene.scatter(x, y, s=45.0, color=colour, edgecolors="white", label=label, zorder=4)
-    scene.set(
-        title=f"cloud of {len(update.cloud)} points", xlim=(0, image.shape[1]), ylim=(image.shape[0], 0)
-    )
+    scene.set(title=f"cloud of {len(update.cloud)} points", xlim=(0, image.shape[1]), ylim=(image.shape[0], 0))
     scene.legend(loc="lower right", fontsize="small")
     norm = Normalize(0.0, 90.0)
     titles = (f"{len(update.codes)} codes and {len(goals)} goals, as predicted", "after Algorithm 2")
@@ -104,9 +100,7 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     for axes, when in zip(planes, COLOURS, strict=True):
         for i in every:
             hands = HandPoses.of(problem.robot, update.draws(when, i))
-            _draw_ellipse(
-                axes, hands, start, goals[0], COLOURS[when] if i < len(update.codes) else GOAL_COLOUR
-            )
+            _draw_ellipse(axes, hands, start, goals[0], COLOURS[when] if i < len(update.codes) else GOAL_COLOUR)
         axes.axhline(0.0, color="black", linewidth=1.2)
         axes.set(
             title=f"Gaussians {when}, goals dashed", xlim=(-0.7, 2.0), ylim=(-120.0, 120.0),
@@ -153,9 +147,7 @@ def hand_figure(
     return figure
 
 
-def _draw_hands(
-    axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple[int, ...], norm: Normalize
-) -> None:
+def _draw_hands(axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple[int, ...], norm: Normalize) -> None:
     """Sticks from each hand along its up direction, the head a dot; farther ones first."""
     rows, columns = shape
     ends = np.stack((hands.positions, hands.positions + STICK * hands.up), axis=1)

@@ -166,9 +166,7 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
     """A constraint of a kind, a free start on it and goals; None where there is none."""
     scene, robot, hand = _drawn(kind, number, rng)
     middle = 0.5 * (robot.lower + robot.upper)
-    problem = PlanningProblem(
-        name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments
-    )
+    problem = PlanningProblem(name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments)
     if hand.start is not None:
         checker = problem.collision_checker(SAMPLE_MARGIN)
         start = next(iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None)

@@ -41,9 +41,7 @@ def upright_problem(
     problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright(),))
     pair = blocked_pair(problem, rng, clear)
     if pair is None:
-        reason = (
-            f"no two upright states {clear} m from everything in {scene.name} with a blocked straight motion"
-        )
+        reason = f"no two upright states {clear} m from everything in {scene.name} with a blocked straight motion"
         return UnsolvableProblem(name, reason)
     return replace(problem, start=pair[0], goals=pair[1][None])
 
@@ -108,8 +106,6 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
         problem = family_problem(family, number, ROBOTS[robot])
         if isinstance(problem, PlanningProblem):
             there = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.zeros((6, 2)))
-            return replace(
-                problem, name=str(index), goals=np.empty((0, problem.robot.dof)), goal_region=there
-            )
+            return replace(problem, name=str(index), goals=np.empty((0, problem.robot.dof)), goal_region=there)
         reason = problem.reason
     return UnsolvableProblem(str(index), f"{reason}, the last of {SCENES_DRAWN} scenes")

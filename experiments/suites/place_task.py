@@ -87,9 +87,7 @@ def _world() -> Scene:
 def _mirrored_world() -> Scene:
     """The re-measured kitchen, mirrored. Its boxes and cylinders are their own mirror images."""
     scene = kitchen(REMEASURED, door_angles={DOOR: DOOR_ANGLE})
-    objects = tuple(
-        replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR) for item in scene.objects
-    )
+    objects = tuple(replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR) for item in scene.objects)
     return Scene("kitchen mirrored", objects)
 
 

@@ -164,9 +164,7 @@ def _thinned(view: View, pixels: int, rng: np.random.Generator) -> View:
     return replace(view, depth=depth.reshape(view.depth.shape))
 
 
-def _in_map(
-    truth: PlanningProblem, files: list[tuple[Path, Path, Path]], sensing: Sensing
-) -> PlanningProblem:
+def _in_map(truth: PlanningProblem, files: list[tuple[Path, Path, Path]], sensing: Sensing) -> PlanningProblem:
     """The problem in a map of what the files say."""
     captures = [read_capture(*each) for each in files]
     settings = ScanSettings(crop=REACH, voxel=0.5 * sensing.resolution, neighbours=NEIGHBOURS)

@@ -119,9 +119,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("factorial", ENVIRONMENTS[:60], place_problem, FACTORIAL, new_scenes=True),
         Suite("factorial-constraints", CONSTRAINED[:80], constraint_problem, FACTORIAL, new_scenes=True),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
-        Suite(
-            "robots", range(len(ROBOTS) * len(ROBOT_PROBLEMS)), robots_problem, ON_ANY_ROBOT, new_scenes=True
-        ),
+        Suite("robots", range(len(ROBOTS) * len(ROBOT_PROBLEMS)), robots_problem, ON_ANY_ROBOT, new_scenes=True),
         Suite("peers", SINGLE_GOAL_ENVIRONMENTS, single_goal_problem, WITH_PEERS, carried=(carried_can(),)),
         Suite("sensor", SCENES, sensor_problem, new_scenes=True),
         Suite("sensor-robustness", VARIED_PROBLEMS, robustness_problem, VARIED_PLANNERS, new_scenes=True),

@@ -142,8 +142,7 @@ def _row(row: ResultRow) -> list[object]:
     """In `ROW_COLUMNS`."""
     what = row.fallback or row.detail or "" if row.solved else f"{row.fail_reason}: {row.detail or ''}"
     time, effort, length = (
-        None if number is None else round(number, 4)
-        for number in (row.t_total_s, work(row), row.path_length_rad)
+        None if number is None else round(number, 4) for number in (row.t_total_s, work(row), row.path_length_rad)
     )
     return [row.problem, row.seed, row.solved, time, effort, row.vertices, length, what]
 

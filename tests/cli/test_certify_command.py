@@ -230,9 +230,7 @@ def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, traj
 @pytest.mark.parametrize(
     ("acceleration", "code", "curve"), [(None, 0, "cubic"), (0.0, 0, "cubic"), (6.02, 1, "quintic")]
 )
-def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
-    judged, panda, acceleration, code, curve
-):
+def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(judged, panda, acceleration, code, curve):
     """Joint 1 swings by 0.3 rad above a board; the quintic turns joint 2 down by up to 0.234 rad."""
     start = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8])
     goal = start + 0.3 * np.eye(7)[0]
@@ -251,9 +249,7 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
 
 
 @pytest.mark.parametrize(("part", "words"), [(slice(40), "ends"), (slice(40, None), "begins")])
-def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
-    judged, region_problem, trajectory, part, words
-):
+def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(judged, region_problem, trajectory, part, words):
     """Each of its halves, between the state where it was cut and the end that it kept."""
     kinds = ("times", "positions", "velocities", "accelerations")
     half = replace(trajectory, **{kind: getattr(trajectory, kind)[part] for kind in kinds})

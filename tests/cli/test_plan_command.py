@@ -64,10 +64,7 @@ def test_command_line(task, tmp_path, capsys):
     assert all(name in out for name in (*names, "solved"))
     assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
     assert "one of the four" in capsys.readouterr().err
-    assert (
-        main(["plan", "--task-file", str(tmp_path / "task.json"), "--save-path", str(tmp_path / "a.csv")])
-        == 2
-    )
+    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--save-path", str(tmp_path / "a.csv")]) == 2
     assert "--save-path does not go with a task" in capsys.readouterr().err
     assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--trajectory", "a.json"]) == 2
     assert "of a task it is a folder" in capsys.readouterr().err
@@ -91,9 +88,7 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
         "close": {"finger_opening": 0.007},
         "let-go": {"finger_opening": 0.04},
     }
-    assert sorted(p.name for p in folder.iterdir()) == sorted(
-        ["task.json", *(s["file"] for s in index if "file" in s)]
-    )
+    assert sorted(p.name for p in folder.iterdir()) == sorted(["task.json", *(s["file"] for s in index if "file" in s)])
     task = Task.load(path)
     q = task.start
     for step, phase in zip(index, told["phases"], strict=True):
@@ -101,9 +96,7 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
             motion = read_motion(folder / step["file"])
             assert motion.positions.shape[1] == 7 and motion.positions[0] == pytest.approx(q, abs=1e-9)
             q = motion.positions[-1]
-            assert (
-                phase["certificate"]["verdict"] == "valid" and phase["certificate"]["compared"]["obstacles"]
-            )
+            assert phase["certificate"]["verdict"] == "valid" and phase["certificate"]["compared"]["obstacles"]
             assert phase["duration_s"] == step["duration_s"]
             assert motion.times[-1] == pytest.approx(step["duration_s"], abs=1e-6)
             if step["phase"] == "away/1":

@@ -65,9 +65,7 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(fo
     changed(folder / "b10.json", name="third")
     added = reproduce(folder, out)
     assert [row.problem for row in added] == ["first-2-carry", "second", "third"]
-    assert [added[0], added[1]] == rows and set(
-        ProvenanceFile(out).read()["continued"][0]["problem_files"]
-    ) == {
+    assert [added[0], added[1]] == rows and set(ProvenanceFile(out).read()["continued"][0]["problem_files"]) == {
         "first-2-carry",
         "third",
     }
@@ -97,9 +95,7 @@ def test_folders_that_are_no_suite_are_refused_before_anything_runs(folder, tmp_
     (tmp_path / "place-task").rename(folder)
     assert "unknown planner 'nobody'" in told(folder, "--planners", "nobody")
     changed(folder / "b2.json", constraint=[])
-    assert "first-2-carry: ompl-projected: it needs a constraint" in told(
-        folder, "--planners", "ompl-projected"
-    )
+    assert "first-2-carry: ompl-projected: it needs a constraint" in told(folder, "--planners", "ompl-projected")
     changed(folder / "b2.json", name="=1+2")
     assert "b2.json: name '=1+2' cannot stand in a table" in told()
     changed(folder / "b2.json", name="second")
@@ -113,9 +109,7 @@ def test_folders_that_are_no_suite_are_refused_before_anything_runs(folder, tmp_
 def test_a_suite_or_a_folder_is_named(folder, capsys):
     assert "one of the two" in refused(capsys, "reproduce", "place-task", "--problems-dir", folder)
     assert "one of the two" in refused(capsys, "reproduce", *BUDGET)
-    assert "--problems-dir does not go with 'all'" in refused(
-        capsys, "reproduce", "all", "--problems-dir", folder
-    )
+    assert "--problems-dir does not go with 'all'" in refused(capsys, "reproduce", "all", "--problems-dir", folder)
     assert "--problems-dir goes with the directory" in refused(
         capsys, "certify", folder / "b2.json", "--problem-file", folder / "b2.json", "--problems-dir", folder
     )

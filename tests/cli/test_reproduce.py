@@ -57,9 +57,7 @@ def test_amounts_of_everything_are_fixed(capsys, tmp_path):
     assert "--problems does not go with 'all'" in told and not (tmp_path / "out").exists()
 
 
-def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
-    capsys, monkeypatch, tmp_path
-):
+def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(capsys, monkeypatch, tmp_path):
     suites = {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
     monkeypatch.setattr(everything, "SUITES", suites)
     monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})

@@ -79,9 +79,7 @@ def test_joints_are_locked(capsys, arm_file, slider_arm_urdf):
     assert main([str(word) for word in words]) == 0
 
 
-def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(
-    capsys, arm_file, slider_arm_urdf
-):
+def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(capsys, arm_file, slider_arm_urdf):
     data = json.loads(arm_file.read_text())
     (arm_file.parent / "arm.urdf").write_bytes(slider_arm_urdf.read_bytes())
     data["robot"] = {"urdf": "arm.urdf", "end_effector": "tool", "locked": {"rail": data["start"][0]}}

@@ -22,9 +22,7 @@ def members(bundle):
     return [*bundle.pieces, *bundle[1:]]
 
 
-def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is_damaged(
-    tmp_path, monkeypatch
-):
+def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is_damaged(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     made = []

@@ -123,9 +123,7 @@ def test_straight_segments_are_divided_and_not_moved(theirs):
     states, problem = found_.simplified.path.states, single_goal_problem(5)
     corners = np.array([problem.start, problem.robot.upper, problem.goals[0]])
     assert np.linalg.norm(np.diff(states, axis=0), axis=1).max() <= 0.1 + 1e-12
-    assert found_.simplified.path.length == pytest.approx(
-        np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
-    )
+    assert found_.simplified.path.length == pytest.approx(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
     assert not found_.solved and found_.certificate.reasons
 
 
@@ -202,9 +200,7 @@ def test_an_entry_point_is_a_name_and_ours_are_refused(theirs):
     assert planner_named("lucky").external == "their-planners 1.2"
     solution = solve(single_goal_problem(5), "lucky", Budget(seconds=20.0), 0)
     assert solution.solved, solution
-    with pytest.raises(
-        InvalidInputError, match=r"'tb-rrt' of their-planners 1.2 has the name of one of ours"
-    ):
+    with pytest.raises(InvalidInputError, match=r"'tb-rrt' of their-planners 1.2 has the name of one of ours"):
         planner_named("tb-rrt")
 
 

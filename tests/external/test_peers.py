@@ -64,10 +64,7 @@ def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(pr
     region = upright_region(problem)
     rng, box = np.random.default_rng(0), rpy_box(region)
     tilts = rng.choice((-1.0, 1.0), (4000, 2)) * box[4:, 1]
-    turns = [
-        pin.rpy.rpyToMatrix(roll, *tilt)
-        for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)
-    ]
+    turns = [pin.rpy.rpyToMatrix(roll, *tilt) for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)]
     vectors = np.abs([pin.log3(turn)[1:] for turn in turns])
     assert 0.09 < vectors.max() < 0.092
 

@@ -152,9 +152,7 @@ def test_labels_of_motions_that_contradict_the_roadmap_are_refused(tiny, tmp_pat
 def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(tiny):
     dataset, robot = open_dataset(tiny), panda()
     shards = read_roadmap_shards(tiny)
-    labels = [
-        (shard, row) for shard in shards for row in np.flatnonzero(np.isfinite(shard.arrays["cost"])).tolist()
-    ]
+    labels = [(shard, row) for shard in shards for row in np.flatnonzero(np.isfinite(shard.arrays["cost"])).tolist()]
     assert len(dataset.paths) == len(labels) > 4
     assert len(dataset.scenes) == sum(len(shard.arrays["family"]) for shard in shards) == 4
     for path, (shard, row) in enumerate(labels):

@@ -138,9 +138,7 @@ def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_muc
     assert math.isinf(cutoff_of(rows, 0.95).seconds), "one of ten is never solved"
 
 
-@pytest.mark.parametrize(
-    ("solved", "expected"), [(100, Ruling.HOLDS), (88, Ruling.TOO_FEW), (60, Ruling.FAILS)]
-)
+@pytest.mark.parametrize(("solved", "expected"), [(100, Ruling.HOLDS), (88, Ruling.TOO_FEW), (60, Ruling.FAILS)])
 def test_an_at_least_test_of_a_share(solved, expected):
     """98.42 % is tested at 88.6 %: 100 of 100 is more, 60 less, 88 neither."""
     rows = [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(100)]

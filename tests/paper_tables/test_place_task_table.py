@@ -83,9 +83,7 @@ def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():
 
 def test_the_first_table_has_six_columns_and_no_table_is_wider_than_a_page():
     work = {"n_projections": 10, "n_state_checks": 90, "path_length_rad": 4.0, "vertices": 3}
-    rows = [
-        run(name, i, 0.1, **work) for i in range(6) for name in ("birrt", "opt-cvq-mpt", "ompl-projected")
-    ]
+    rows = [run(name, i, 0.1, **work) for i in range(6) for name in ("birrt", "opt-cvq-mpt", "ompl-projected")]
     made = place_task_table(rows, PAPER)
     first = next(iter(made.sections.values()))
     assert first[0] == ["planner", "solved [%]", "time [s]", "work", "length [rad]", "work / birrt"]

@@ -91,9 +91,7 @@ def test_projection(trials):
                 assert by_ompl.isSatisfied(ours) and inside, q.tolist()
 
 
-@pytest.mark.promise(
-    "no tampered path is certified that brute force at 0.001 rad refuses", "paths", ci=15, long=1000
-)
+@pytest.mark.promise("no tampered path is certified that brute force at 0.001 rad refuses", "paths", ci=15, long=1000)
 def test_certificate(trials):
     """A state of a certified path is moved by 0.1 mrad to 0.5 rad, its neighbours by less."""
     for problem, count, seed in tuning_problems(trials, PATHS):
@@ -124,9 +122,7 @@ def test_timing(trials):
             assert ours == pytest.approx(theirs, rel=0.01), seed + k
 
 
-@pytest.mark.promise(
-    "what the networks compute in numpy, torch computes too", "states", ci=2000, long=100_000
-)
+@pytest.mark.promise("what the networks compute in numpy, torch computes too", "states", ci=2000, long=100_000)
 @torch.inference_mode()
 def test_networks(trials):
     stored = load_vq_mpt(panda())

@@ -18,9 +18,7 @@ SLOWER = 1.3  # ratio of processor time a plan, last quarter to the one after wa
 TESTS = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.promise(
-    "memory is flat (50 MB), no slow-down: all planners in one process", "plans", ci=0, long=10_000
-)
+@pytest.mark.promise("memory is flat (50 MB), no slow-down: all planners in one process", "plans", ci=0, long=10_000)
 def test_memory_and_time_of_a_long_run(trials):
     code = f"from properties.test_long_run import live; live({trials})"
     words = [sys.executable, "-c", f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}"]

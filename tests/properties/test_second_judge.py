@@ -246,9 +246,7 @@ def judged(name, number, folder):
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "xarm7", "tiago", "random"])
-@pytest.mark.promise(
-    "what is certified overlaps by 0.1 mm at most, by the files' triangles", "cases", ci=6, long=2000
-)
+@pytest.mark.promise("what is certified overlaps by 0.1 mm at most, by the files' triangles", "cases", ci=6, long=2000)
 def test_certified_motions(name, trials, tmp_path):
     verdicts = {number: judged(name, number, tmp_path) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}

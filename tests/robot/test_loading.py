@@ -258,9 +258,7 @@ def packaged(edited, tmp_path):
 def test_a_mesh_is_found_in_package_folders_and_in_ros_s(packaged, refused, monkeypatch):
     urdf, package = packaged
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
-    pattern = (
-        r"shapes/ball.stl is in none.*--package-dir \(not given\), ROS_PACKAGE_PATH \(not set\), the folders"
-    )
+    pattern = r"shapes/ball.stl is in none.*--package-dir \(not given\), ROS_PACKAGE_PATH \(not set\), the folders"
     refused(InvalidInputError, pattern, load_robot, urdf, "tool")
     for folder in (package.parent, package):
         assert load_robot(urdf, "tool", package_dirs=(folder,)).dof == 4

@@ -104,9 +104,7 @@ def sheared(by):
 AXIS, OTHER_AXIS = '<axis xyz="0.6 0 0.8"/>', '<axis xyz="0.8 0 0.6"/>'
 
 
-@pytest.mark.parametrize(
-    ("before", "after"), [(AXIS, OTHER_AXIS), ("a.obj", "b.obj"), ('upper="1.5"', 'upper="1.4"')]
-)
+@pytest.mark.parametrize(("before", "after"), [(AXIS, OTHER_AXIS), ("a.obj", "b.obj"), ('upper="1.5"', 'upper="1.4"')])
 def test_another_robot_has_pairs_of_its_own(slider_arm_urdf, tmp_path, cache, before, after):
     """Another axis of a joint whose link has no body, a mirrored mesh, other limits."""
     for name, by in (("a.obj", 0.5), ("b.obj", -0.5)):

@@ -72,11 +72,7 @@ def test_text_of_both_versions_is_read(tmp_path):
     scene, _ = read(tmp_path, OLDER)
     box, sphere, can = scene.objects
     assert scene.name == "cell" and scene.names == ("the box/0", "the box/1", "can")
-    assert (
-        box.shape == Box((0.2, 0.4, 0.6))
-        and sphere.shape == Sphere(0.1)
-        and can.shape == Cylinder(0.03, 0.14)
-    )
+    assert box.shape == Box((0.2, 0.4, 0.6)) and sphere.shape == Sphere(0.1) and can.shape == Cylinder(0.03, 0.14)
     assert box.T_world_object @ (0, 1, 0, 1) == pytest.approx((0.0, 0.0, 0.5, 1.0), abs=1e-6)
     (tetrahedron,) = read(tmp_path, NEWER)[0].objects
     assert isinstance(tetrahedron.shape, ConvexMesh)
@@ -135,9 +131,7 @@ def test_damaged_text_is_refused_in_one_line(tmp_path):
         for _ in range(150):
             lines = text.splitlines()
             k = rng.randrange(len(lines))
-            lines[k : k + rng.randrange(2)] = rng.choice(
-                [[], ["nan 1"], ["-1"], ["999999999"], [lines[k] + " 7"]]
-            )
+            lines[k : k + rng.randrange(2)] = rng.choice([[], ["nan 1"], ["-1"], ["999999999"], [lines[k] + " 7"]])
             try:
                 read(tmp_path, "\n".join(lines))
             except InvalidInputError as error:

@@ -45,9 +45,7 @@ def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
 
     def length_within(longest):
         space = ConstrainedSpace(problem)
-        query = RoadmapQuery(
-            space, Roadmap.of(nodes), problem.start, problem.goals, settings, longest=longest
-        )
+        query = RoadmapQuery(space, Roadmap.of(nodes), problem.start, problem.goals, settings, longest=longest)
         found = query.next_path(Deadline(ENOUGH, space))
         return None if found is None else found.length
 

@@ -17,9 +17,7 @@ from experiments.bench.state_checks import near_contact
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 HAMMER = (
     Attachment("handle", Box((0.03, 0.04, 0.5)), pose((0.02, -0.01, 0.3), 0.4)),
-    Attachment(
-        "head", ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))), pose((0.0, 0.2, 0.5))
-    ),
+    Attachment("head", ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))), pose((0.0, 0.2, 0.5))),
 )
 FINE = 0.002  # [rad]
 
@@ -31,8 +29,7 @@ def placed_points(robot, attachments, configurations):
     solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
     solids += [(hand, T_link_hand @ a.T_hand_object, shape_vertices(a.shape)) for a in attachments]
     points = [
-        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1)
-        + translations[:, link, None]
+        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1) + translations[:, link, None]
         for link, T, vertices in solids
     ]
     return np.concatenate(points, axis=1)
@@ -103,9 +100,7 @@ def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
     assert [k for k, states in motions.items() if checker.in_collision_batch(states).any()] == []
 
 
-def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
-    kitchen_space, motions, answers
-):
+def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(kitchen_space, motions, answers):
     sampled = all_free(kitchen_space, along(motions, kitchen_space.settings.resolution))
     assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
     assert (answers != sampled).mean() < 0.02

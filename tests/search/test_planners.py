@@ -59,9 +59,7 @@ def test_every_planner_solves_a_place_problem(problem, name):
         assert result.status is LENIENT[name]
         assert solution.simplified is None and solution.certificate is None and not solution.solved
         return
-    assert (
-        result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:-1]) > 0
-    )  # no clearances are read
+    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:-1]) > 0  # no clearances are read
     assert solution.certificate.reasons == () and solution.solved
     assert name in LENIENT or certify(problem, result.path, clearance=False).reasons == ()  # not simplified
     np.testing.assert_array_equal(result.path.states[0], problem.start)

@@ -68,9 +68,7 @@ def test_a_roadmap_path_is_certified_and_repeats(problem, roadmap):
     assert result.status is PlanStatus.SOLVED
     assert certify(problem, result.path).valid
     np.testing.assert_array_equal(result.path.states[0], problem.start)
-    again = plan(
-        problem, RoadmapPath(roadmap, "roadmap"), seed=3
-    )  # nothing in it is random unless birrt must help
+    again = plan(problem, RoadmapPath(roadmap, "roadmap"), seed=3)  # nothing in it is random unless birrt must help
     if not result.fallback:
         np.testing.assert_array_equal(result.path.states, again.path.states)
 
@@ -87,9 +85,7 @@ def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
 
 
 def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap):
-    result = plan(
-        problem, RoadmapPath(roadmap, "roadmap", settings=RoadmapSettings(searches=1, links=1), draws=0)
-    )
+    result = plan(problem, RoadmapPath(roadmap, "roadmap", settings=RoadmapSettings(searches=1, links=1), draws=0))
     assert result.path is not None and certify(problem, result.path).valid
     assert result.fallback.startswith("birrt around ")
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")

@@ -121,9 +121,7 @@ def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made(cache, sl
     assert len(list(cache.iterdir())) == 1
 
 
-@pytest.mark.parametrize(
-    "kinds", [("revolute",), ("prismatic",), ("prismatic",) * 3, ("revolute",) * 12], ids=len
-)
+@pytest.mark.parametrize("kinds", [("revolute",), ("prismatic",), ("prismatic",) * 3, ("revolute",) * 12], ids=len)
 def test_robots_of_one_slider_or_twelve_joints_have_a_roadmap(tmp_path, kinds):
     (tmp_path / "chain.urdf").write_text(chain(kinds, reach=1.0 if len(kinds) == 1 else 0.4))
     robot = load_robot(tmp_path / "chain.urdf", f"l{len(kinds)}")

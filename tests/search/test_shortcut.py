@@ -25,9 +25,7 @@ def simplified(space, path, settings, seed=0):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_shorter_certified_and_between_the_same_ends_of_a_path_that_stays_as_it_was(
-    problem, solution, space, seed
-):
+def test_shorter_certified_and_between_the_same_ends_of_a_path_that_stays_as_it_was(problem, solution, space, seed):
     raw, before = solution.plan.path, states_hash(solution.plan.path.states)
     result = simplified(space, raw, LONG, seed)
     assert states_hash(raw.states) == before

@@ -109,9 +109,7 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("read", "name", "text", "message"), BAD, ids=[*BAD_INTRINSICS, *BAD_EXTRINSICS, *BAD_YAML]
-)
+@pytest.mark.parametrize(("read", "name", "text", "message"), BAD, ids=[*BAD_INTRINSICS, *BAD_EXTRINSICS, *BAD_YAML])
 def test_bad_files_are_refused_by_field_in_one_line(read, name, text, message, tmp_path):
     path = tmp_path / name
     path.write_text(text)

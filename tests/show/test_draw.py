@@ -27,9 +27,7 @@ def test_all_show_themselves_in_five_lines_and_as_a_picture(problem, solution, u
 
 
 def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
-    assert (
-        draw(solution, tmp_path / "a.png", (90, 60)).size == Image.open(tmp_path / "a.png").size == (90, 60)
-    )
+    assert draw(solution, tmp_path / "a.png", (90, 60)).size == Image.open(tmp_path / "a.png").size == (90, 60)
     assert draw(solution.problem, size=(90, 60)).size == (90, 60)
     assert draw(task_solution, size=(90, 60)).width > 90
     with pytest.raises(UnknownChoiceError, match="'int'; valid choices: Robot, Scene, PlanningProblem"):
@@ -41,9 +39,6 @@ def test_the_package_has_what_a_script_needs_and_help_is_readable():
     for kind in (cvqmpt_lab.PlanningProblem, cvqmpt_lab.Scene, cvqmpt_lab.Box):
         assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
     text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))
-    assert (
-        "start: ndarray = <factory>, goals: ndarray = <factory>, constraint: tuple[TaskSpaceRegion, ...]"
-        in text
-    )
+    assert "start: ndarray = <factory>, goals: ndarray = <factory>, constraint: tuple[TaskSpaceRegion, ...]" in text
     with pytest.raises(UnknownChoiceError, match="plain"):
         region("plain")

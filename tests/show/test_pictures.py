@@ -55,9 +55,7 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
     mesh = hull_mesh(plate)
     assert mesh is hull_mesh(plate.copy()) and len(mesh.corners) < 2 * MOST_CORNERS
     directions = rng.normal(size=(200, 3))
-    drawn, whole = (
-        np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate)
-    )
+    drawn, whole = (np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate))
     assert (drawn <= whole + 1e-12).all() and (drawn > 0.98 * whole).all()
 
 

@@ -23,9 +23,7 @@ def data_of(path):
     before, after = web_page.TEMPLATE.read_text().split(web_page.PLACE)
     text = path.read_text()
     assert text.startswith(before) and text.endswith(after) and "://" not in before + after
-    return json.loads(
-        text[len(before) : -len(after)].removeprefix(web_page.PLACE[:-11]).removesuffix("</script>")
-    )
+    return json.loads(text[len(before) : -len(after)].removeprefix(web_page.PLACE[:-11]).removesuffix("</script>"))
 
 
 def array(text):

@@ -81,8 +81,6 @@ def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
         (("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"), "open-door", "weights are for"),
     ):
         for name in names:
-            why = {
-                n: PLANNERS[name].incompatibility(problems[n]) for n in ("carry", "open-door", "reach-can")
-            }
+            why = {n: PLANNERS[name].incompatibility(problems[n]) for n in ("carry", "open-door", "reach-can")}
             assert words in why.pop(phase) and set(why.values()) == {""}
     assert all(PLANNERS["birrt"].incompatibility(problem) == "" for problem in problems.values())

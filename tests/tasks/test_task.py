@@ -105,9 +105,7 @@ QUARTER_ABOUT_X = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0,
         (QUARTER_ABOUT_X, "'can' is 0.000 m and 1.57 rad"),
     ],
 )
-def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
-    task_solution, T_written, refused
-):
+def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(task_solution, T_written, refused):
     carrying = task_solution.outcomes[-1].world
     can, item = carrying.held.attachment, carrying.held.item
     before = replace(carrying, held=None, scene=carrying.scene.with_objects(item))

@@ -185,9 +185,7 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
         np.testing.assert_allclose(found[name], tensor.numpy(), atol=1e-6, err_msg=name)
 
 
-def test_what_does_not_fit_is_refused_before_anything_is_written(
-    tmp_path, data, dictionary, published_dictionary
-):
+def test_what_does_not_fit_is_refused_before_anything_is_written(tmp_path, data, dictionary, published_dictionary):
     words = load_checkpoint(published_dictionary / "model")
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))

@@ -78,9 +78,7 @@ def distances(points, shapes):
     kind, size, pose = shapes.kind, shapes.size, shapes.pose
     local = np.einsum("mij,pmi->pmj", pose[:, :, :3], points[:, None] - pose[:, :, 3])
     box = (np.abs(local) - 0.5 * size).max(2)
-    cylinder = np.maximum(
-        np.hypot(local[..., 0], local[..., 1]) - size[:, 0], np.abs(local[..., 2]) - 0.5 * size[:, 2]
-    )
+    cylinder = np.maximum(np.hypot(local[..., 0], local[..., 1]) - size[:, 0], np.abs(local[..., 2]) - 0.5 * size[:, 2])
     sphere = np.linalg.norm(local, axis=2) - size[:, 0]
     return np.select([kind == 0, kind == 1, kind == 2], [box, cylinder, sphere])
 

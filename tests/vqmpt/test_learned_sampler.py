@@ -90,9 +90,7 @@ def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor)
     np.testing.assert_allclose(mixture.covariances[:c], covariances, atol=1e-8)
     np.testing.assert_array_equal(mixture.means[c:], proposal.goals)
     span = problem.robot.upper - problem.robot.lower
-    np.testing.assert_allclose(
-        mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * len(proposal.goals)
-    )
+    np.testing.assert_allclose(mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * len(proposal.goals))
     assert all((np.abs(problem.goals - goal).max(axis=1) < 1e-9).any() for goal in proposal.goals)
 
 
@@ -117,10 +115,6 @@ def test_updates_move_codes_towards_the_constraint(problem, proposed):
 def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, query):
     stages = planner_named("cvq:graph+algorithm-2").stages(problem)
     none = PredictedCodes(np.empty(0, dtype=np.int64), query.goals[:0], "nothing")
-    proposal = LearnedProposal(lambda query, observation: none, stages.predict.gaussians)(
-        query, Observation()
-    )
+    proposal = LearnedProposal(lambda query, observation: none, stages.predict.gaussians)(query, Observation())
     assert isinstance(proposal, CodeProposal) and isinstance(proposal.distribution, Uniform)
-    assert (
-        proposal.fallback == "no code sequence reached a goal" and stages.update(query, proposal) is proposal
-    )
+    assert proposal.fallback == "no code sequence reached a goal" and stages.update(query, proposal) is proposal

@@ -58,9 +58,7 @@ def checkpoint(robot):
     with torch.no_grad():
         for parameter in module.parameters():
             parameter += 0.05 * torch.randn_like(parameter)
-    return dataclasses.replace(
-        words, config=dataclasses.replace(config, transformer=sizes), transformer=module.eval()
-    )
+    return dataclasses.replace(words, config=dataclasses.replace(config, transformer=sizes), transformer=module.eval())
 
 
 @pytest.fixture(scope="module")
@@ -247,9 +245,7 @@ def test_weights_that_do_not_fit_are_refused(model, robot):
     fewer = dataclasses.replace(config, transformer=dataclasses.replace(own, n_nodes=60))
     refused = {
         r"no transformer, only dictionary; train one: cvqmpt train transformer": without,
-        "transformer was trained on the codes of another dictionary": changed(
-            model, nodes=nodes[::-1].copy()
-        ),
+        "transformer was trained on the codes of another dictionary": changed(model, nodes=nodes[::-1].copy()),
         r"nodes is \(63, .\), expected": changed(model, nodes=nodes[1:]),
         r"edges is \(.*\) of float32, expected": changed(model, edges=edges.astype(np.float32)),
         "edges that do not join two of its 64 nodes": changed(model, edges=edges + 1),

@@ -46,9 +46,7 @@ def update(problem):
     return update_codes(problem, None, SETTINGS)
 
 
-@pytest.mark.parametrize(
-    ("given", "said"), [({"samples": 0}, "samples of the"), ({"seed": -1}, "seed of the")]
-)
+@pytest.mark.parametrize(("given", "said"), [({"samples": 0}, "samples of the"), ({"seed": -1}, "seed of the")])
 def test_bad_numbers_are_refused(given, said):
     with pytest.raises(InvalidInputError, match=said):
         UpdateSettings(**given)

@@ -41,8 +41,7 @@ def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(robot, 
     np.testing.assert_array_equal(problem.start, expected.start)
     np.testing.assert_array_equal(problem.goal_region.T0_w, problem.robot.pose(expected.goals[0]))
     assert all(
-        isinstance(family_problem(family, k, ROBOTS[robot]), UnsolvableProblem)
-        for k in range(2000 + index, number, 20)
+        isinstance(family_problem(family, k, ROBOTS[robot]), UnsolvableProblem) for k in range(2000 + index, number, 20)
     )
 
 

@@ -30,9 +30,7 @@ def yaw_about_can(T_world_hand):
     return np.arctan2(T_world_hand[1, 2], T_world_hand[0, 2])
 
 
-@pytest.mark.parametrize(
-    ("environment", "u"), [(0, (0.5488135039, 0.7151893664)), (7, (0.0763082894, 0.7799187922))]
-)
+@pytest.mark.parametrize(("environment", "u"), [(0, (0.5488135039, 0.7151893664)), (7, (0.0763082894, 0.7799187922))])
 def test_can_position_formula(environment, u):
     """First two uniforms of numpy's frozen legacy generator, as printed in numpy's own documentation of seed 0."""
     link = (0.4 + 0.3 * u[0], -0.6 + 1.0 * u[1], 0.171)
