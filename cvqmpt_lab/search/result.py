@@ -44,6 +44,13 @@ class Budget:
         if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
             raise InvalidInputError(f"budget seconds {shown(self.seconds)}: give a number above 0")
 
+    def share(self, fraction: float) -> "Budget":
+        """A fraction of it, at least one iteration."""
+        return Budget(
+            None if self.seconds is None else fraction * self.seconds,
+            None if self.iterations is None else max(1, round(fraction * self.iterations)),
+        )
+
     @classmethod
     def require(cls, value: Any, what: str = "budget") -> None:
         """Refuse what is no budget: InvalidInputError calls it `what`."""

@@ -63,6 +63,29 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
     assert row.n_state_checks == sum(item.plan.counters.state_checks for item in approach.attempts)
 
 
+class SlidesOnlyAtLeisure:
+    """birrt, but slides need more than a second."""
+
+    def __init__(self):
+        self.given = []
+
+    def search(self, space, start, goals, distribution, budget, rng):
+        if space.problem.name.endswith("approach"):
+            self.given.append((round(budget.seconds), tuple(start)))
+            if budget.seconds < 1.0:
+                return PlanResult(PlanStatus.TIMEOUT, None, 0.0, Counters(), 0, "none")
+        return BiRRT().search(space, start, goals, distribution, budget, rng)
+
+
+def test_a_slide_gets_little_time_until_the_last_grasp(task):
+    search = SlidesOnlyAtLeisure()
+    solution = solve_task(task, Method.simple("birrt", search=search), BUDGET, seed=0)
+    assert solution.solved
+    *first, last = search.given
+    assert first and last[0] == 20 and all(seconds == 0 for seconds, _ in first)
+    assert len({start for _, start in search.given}) == len(search.given)
+
+
 def test_a_goal_out_of_reach_names_phase_and_cause(task):
     far = TaskSpaceRegion(pose((3.0, 0.0, 0.5)), np.eye(4), np.zeros((6, 2)))
     phases = tuple(replace(p, goal=far) if p.name == "carry" else p for p in task.phases)
