@@ -1,6 +1,6 @@
 """Between two random upright hand poses, upright all the way, in held-out scenes of the training families."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,10 +19,30 @@ from experiments.suites.place_task import UnsolvableProblem
 
 PANDA = {"name": "panda"}
 PROBLEMS = range(50)
+SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
+FIRST_SPARE_SCENE = 5000  # 5000 to 5949 are numbers that no other suite uses
 DRAWS = 4000  # configurations drawn for start and goal
 APART = 2.0  # [rad] start and goal at least
 CLEAR = 0.001  # [m] that start and goal keep from obstacles
 TRIES = 200  # pairs drawn for one whose straight motion is blocked
+
+
+def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem `index` of a family, of the first scene that holds one: of index, 5000 + index, 5050 + index, ..."""
+    spare = range(FIRST_SPARE_SCENE + index, FIRST_SPARE_SCENE + len(PROBLEMS) * (SCENES_DRAWN - 1), len(PROBLEMS))
+    return replace(_first_problem(family, (index, *spare), PANDA), name=str(index))
+
+
+def _first_problem(
+    family: str, numbers: Sequence[int], robot_source: Mapping[str, Any]
+) -> PlanningProblem | UnsolvableProblem:
+    """Of the first of these scenes that holds a problem."""
+    for number in numbers:
+        found = family_problem(family, number, robot_source)
+        if isinstance(found, PlanningProblem):
+            return found
+        reason = found.reason
+    return UnsolvableProblem(str(numbers[0]), f"{reason}, the last of {len(numbers)} scenes")
 
 
 def family_problem(
@@ -72,7 +92,6 @@ def blocked_pair(
 # Nine arms: between two random upright hand poses, upright all the way, in scenes of every family.
 ROBOT_PROBLEMS = range(20)
 FIRST_ROBOT_SCENE = 2000  # 2000 to 2399 are numbers that no other suite uses
-SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
 ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "panda": PANDA,
@@ -100,12 +119,10 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
 
     Its scene is the first that allows a problem of the numbers 2000 + index, 2020 + index, ... of its family.
     """
-    family = ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)]
-    for draw in range(SCENES_DRAWN):
-        number = FIRST_ROBOT_SCENE + index + draw * len(ROBOT_PROBLEMS)
-        problem = family_problem(family, number, ROBOTS[robot])
-        if isinstance(problem, PlanningProblem):
-            there = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.zeros((6, 2)))
-            return replace(problem, name=str(index), goals=np.empty((0, problem.robot.dof)), goal_region=there)
-        reason = problem.reason
-    return UnsolvableProblem(str(index), f"{reason}, the last of {SCENES_DRAWN} scenes")
+    first = FIRST_ROBOT_SCENE + index
+    numbers = range(first, first + SCENES_DRAWN * len(ROBOT_PROBLEMS), len(ROBOT_PROBLEMS))
+    found = _first_problem(ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot])
+    if isinstance(found, UnsolvableProblem):
+        return replace(found, name=str(index))
+    there = TaskSpaceRegion(found.robot.pose(found.goals[0]), np.eye(4), np.zeros((6, 2)))
+    return replace(found, name=str(index), goals=np.empty((0, found.robot.dof)), goal_region=there)

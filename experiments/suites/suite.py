@@ -21,7 +21,7 @@ from experiments.suites.door_task import PROBLEMS as DOOR_PROBLEMS
 from experiments.suites.door_task import door_problem
 from experiments.suites.factorial import PLANNERS as FACTORIAL
 from experiments.suites.family_task import PROBLEMS as FAMILY_PROBLEMS
-from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, family_problem, robots_problem
+from experiments.suites.family_task import ROBOT_PROBLEMS, ROBOTS, held_out_problem, robots_problem
 from experiments.suites.multi_sequence import TASKS, multi_sequence_task
 from experiments.suites.place_task import (
     ENVIRONMENTS,
@@ -112,7 +112,7 @@ SUITES: Mapping[str, Suite] = {
             new_scenes=True,
         ),
         *(
-            Suite(f"family-{name}", FAMILY_PROBLEMS, partial(family_problem, name), new_scenes=True)
+            Suite(f"family-{name}", FAMILY_PROBLEMS, partial(held_out_problem, name), new_scenes=True)
             for name in FAMILIES
         ),
         Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT, new_scenes=True),

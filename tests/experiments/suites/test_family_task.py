@@ -1,5 +1,7 @@
 """Problems in scenes of the training families: of the Panda, and of arms for which there are no weights."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites import family_task
-from experiments.suites.family_task import ROBOTS, family_problem, other_robot_problem
+from experiments.suites.family_task import ROBOTS, family_problem, held_out_problem, other_robot_problem
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.suite import suite_named
 
@@ -56,6 +58,14 @@ def test_a_robot_without_a_problem_in_all_scenes_is_reported_in_one_line(monkeyp
     found = other_robot_problem("ur5", 3)
     assert found == UnsolvableProblem("3", "nothing in kitchen-like 2383, the last of 20 scenes")
     assert tried == list(range(2003, 2400, 20))
+
+
+@pytest.mark.parametrize(("index", "number"), [(0, 0), (1, 5001), (27, 5077)])
+def test_a_family_problem_is_of_its_own_scene_or_of_the_first_spare_one_that_holds_one(index, number):
+    found, expected = held_out_problem("kitchen-like", index), family_problem("kitchen-like", number)
+    assert found == replace(expected, name=str(index))
+    earlier = [k for k in (index, *range(5000 + index, number, 50)) if k != number]
+    assert all(isinstance(family_problem("kitchen-like", k), UnsolvableProblem) for k in earlier)
 
 
 @pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
