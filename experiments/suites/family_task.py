@@ -20,7 +20,7 @@ from experiments.suites.place_task import UnsolvableProblem
 PANDA = {"name": "panda"}
 PROBLEMS = range(50)
 SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
-FIRST_SPARE_SCENE = 5000  # 5000 to 5949 are numbers that no other suite uses
+FIRST_SPARE_SCENE = 8000  # 8000 to 8949 are numbers that no other suite and no tuning has used
 DRAWS = 4000  # configurations drawn for start and goal
 APART = 2.0  # [rad] start and goal at least
 CLEAR = 0.001  # [m] that start and goal keep from obstacles
@@ -28,7 +28,7 @@ TRIES = 200  # pairs drawn for one whose straight motion is blocked
 
 
 def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a family, of the first scene that holds one: of index, 5000 + index, 5050 + index, ..."""
+    """Problem `index` of a family, of the first scene that holds one: of index, 8000 + index, 8050 + index, ..."""
     spare = range(FIRST_SPARE_SCENE + index, FIRST_SPARE_SCENE + len(PROBLEMS) * (SCENES_DRAWN - 1), len(PROBLEMS))
     return replace(_first_problem(family, (index, *spare), PANDA), name=str(index))
 
