@@ -39,7 +39,7 @@ from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.stages import POINTS, dictionary_roadmap
 from experiments.bench.measurement import CpuTimes, Measurement
 
-FIRST_SCENE = 3000  # numbers that no dataset and no suite uses
+FIRST_SCENE = 3000  # numbers that no dataset uses; tables of suite sensor are among them
 KITCHEN = "kitchen of the tasks"
 AROUND = CameraSettings.like_training(POINTS)
 TWO_NOISY = replace(
