@@ -1,7 +1,7 @@
 """Plan the phases of a task in order, by depth-first search over the goals of each planned phase.
 
 If a phase fails, go back to the phase before, remove the goal reached and plan to another one. A slide or a turn is
-easy from most grasps and impossible from some: while there are others, it gets `FIRST_SHARE` of the budget.
+easy from most grasps and impossible from some: it gets `FIRST_SHARE` of the budget, and the whole if all grasps fail.
 """
 
 import time
@@ -144,16 +144,25 @@ class _Run:
     backend: str
     retries: int = RETRIES
     runs: int = 0
+    cut_short: bool = False  # whether a run failed with a share of the budget
     attempts: dict[int, tuple[Solution, ...]] = field(default_factory=dict)  # by number of phase
 
     def solve(self) -> TaskSolution:
-        """Go to the next phase when one is solved, back when it is not."""
+        """With little for slides and turns, then with the whole budget if one of them failed."""
+        found = self._search(FIRST_SHARE)
+        if found.solved or not self.cut_short:
+            return found
+        self.retries = RETRIES
+        return self._search(1.0)
+
+    def _search(self, share: float) -> TaskSolution:
+        """Go to the next phase when one is solved, back when it is not; share: of the budget, for slides and turns."""
         step = self._step(0, World.before(self.task))
         assert step is not None  # a task has a planned phase
         done: list[_Step] = []
         deepest: tuple[PhaseOutcome, ...] = ()
         while True:
-            outcome = step.outcome = self._planned(step, self._budget(step, done))
+            outcome = step.outcome = self._planned(step, share if done and follows_grasp(step.phase) else 1.0)
             outcomes = (*(earlier.outcome for earlier in done if earlier.outcome), outcome)
             if outcome.solved:
                 done.append(step)
@@ -187,12 +196,7 @@ class _Run:
         seconds = time.perf_counter() - began
         return _Step(number, phase, world, goals.configurations, seconds, goals.reason)
 
-    def _budget(self, step: _Step, done: list[_Step]) -> Budget:
-        """Of a planning run to the end of a step, after those that are done."""
-        other_grasps = bool(done) and len(done[-1].goals) > 1 and self.retries > 0
-        return self.budget.share(FIRST_SHARE) if other_grasps and follows_grasp(step.phase) else self.budget
-
-    def _planned(self, step: _Step, budget: Budget) -> PhaseOutcome:
+    def _planned(self, step: _Step, share: float) -> PhaseOutcome:
         """One planning run to the goals left, its certificate and its timing."""
         problem = step.world.problem(self.task, step.phase)
         earlier, seconds = self.attempts.get(step.number, ()), step.goal_seconds
@@ -205,18 +209,20 @@ class _Run:
             reason = "; ".join(filter(None, (reason, problem.why_no_goal())))
         else:
             try:
-                solution = self._solve(problem.with_goals(step.goals), fallback, budget)
+                solution = self._solve(problem.with_goals(step.goals), fallback, share)
                 reason = "" if solution.solved else _why(solution)
+                self.cut_short |= not solution.solved and share < 1.0
             except InvalidProblemError as error:
                 solution, reason = Solution(problem, no_plan(PlanStatus.INVALID_START)), str(error)
         attempts = self.attempts[step.number] = (*earlier, replace(solution, goal_seconds=seconds))
         outcome = PhaseOutcome(step.phase, step.world, attempts, fallback=fallback, reason=reason)
         return self._timed(outcome) if solution.solved else outcome
 
-    def _solve(self, problem: PlanningProblem, fallback: str, budget: Budget) -> Solution:
+    def _solve(self, problem: PlanningProblem, fallback: str, share: float) -> Solution:
         self.runs += 1
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
+        budget = self.budget.share(share) if share < 1.0 else self.budget
         # Without the cache: each phase must observe its own world, also if an equal one was observed before.
         return solve(problem, method, budget, seed, backend=self.backend, use_cache=False)
 

@@ -77,13 +77,13 @@ class SlidesOnlyAtLeisure:
         return BiRRT().search(space, start, goals, distribution, budget, rng)
 
 
-def test_a_slide_gets_little_time_until_the_last_grasp(task):
+def test_a_slide_gets_little_time_until_all_grasps_have_failed(task):
     search = SlidesOnlyAtLeisure()
-    solution = solve_task(task, Method.simple("birrt", search=search), BUDGET, seed=0)
+    solution = solve_task(task, Method.simple("birrt", search=search), Budget(seconds=3.0), seed=0)
     assert solution.solved
-    *first, last = search.given
-    assert first and last[0] == 20 and all(seconds == 0 for seconds, _ in first)
-    assert len({start for _, start in search.given}) == len(search.given)
+    seconds = [given for given, _ in search.given]
+    assert seconds == sorted(seconds) and set(seconds) == {0, 3}
+    assert len({start for given, start in search.given if given == 0}) > 1
 
 
 def test_a_goal_out_of_reach_names_phase_and_cause(task):
