@@ -53,8 +53,9 @@ TERMS = (
     "one.",
     "The tests are two-sided about one number, so more runs end every *too few*. Statements and rules were written "
     "down when the rows of the place task were known: `paper_tables/statements.py`.",
-    f"Seeds 1 and 2 of {' and '.join(OTHER_MACHINE)} were run later, from the same commit, on another machine of the "
-    "same model: `birrt` and `roadmap` found the same 150 paths there, bit for bit, in 0.91 and 0.88 of the time.",
+    f"Seeds 1 and 2 of {' and '.join(OTHER_MACHINE)} in the place task were run later, from the same commit, on "
+    "another machine of the same model: `birrt` and `roadmap` found the same 150 paths there, bit for bit, in 0.91 and "
+    "0.88 of the time.",
     "Settings of all planners of ours were chosen in the kitchen of the place task, with the can elsewhere (seeds 1000 "
     "to 1059, never reported): see *A kitchen that no tuning has seen*.",
     "The cost of a state check in the paper's simulator, 3.5 ms where tables say *the paper's cost*, is measured by "
