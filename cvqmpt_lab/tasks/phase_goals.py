@@ -51,11 +51,6 @@ def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:
     return None
 
 
-def follows_grasp(phase: PlannedPhase) -> bool:
-    """Whether the grasp in which it begins decides how hard a phase is: it is a slide or a turn."""
-    return EFFORT[type(phase)].grasps > 0
-
-
 def world_before(task: Task, world: World, k: int, number: int) -> World:
     """The world before phase `number`, from that before phase k; the phases between are not planned."""
     for phase in task.phases[k:number]:
@@ -80,7 +75,7 @@ def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:
     phase, after = task.phases[k], following(task, k + 1)
     assert isinstance(phase, PlannedPhase)
     problem, effort = world.problem(task, phase), EFFORT[type(phase)]
-    if after is None or not follows_grasp(after[1]):
+    if after is None or not EFFORT[type(after[1])].grasps:
         return _sampled(problem, phase, effort.goals, effort.poses)
     ahead = EFFORT[type(after[1])]
     found = _sampled(problem, phase, ahead.first_goals, effort.poses)

@@ -16,13 +16,13 @@ from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
-from cvqmpt_lab.tasks.phase_goals import following, follows_grasp, phase_goals, prepare, world_before
+from cvqmpt_lab.tasks.phase_goals import following, phase_goals, prepare, world_before
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-FIRST_SHARE = 0.02  # of 10 s: on tasks 100 to 124 slides that any planner finds take 0.24 s at most
+FIRST_SHARE = 0.02  # of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take 0.24 s at most
 RETRIES = 10  # times that a task goes back to another goal
 REPEATED = 1e-8  # [rad] between states that OMPL repeats, which cannot be timed
 SUBSTITUTE = "birrt"  # plans phases that the planner asked for cannot
@@ -162,7 +162,7 @@ class _Run:
         done: list[_Step] = []
         deepest: tuple[PhaseOutcome, ...] = ()
         while True:
-            outcome = step.outcome = self._planned(step, share if done and follows_grasp(step.phase) else 1.0)
+            outcome = step.outcome = self._planned(step, share if done and not isinstance(step.phase, Move) else 1.0)
             outcomes = (*(earlier.outcome for earlier in done if earlier.outcome), outcome)
             if outcome.solved:
                 done.append(step)
@@ -222,9 +222,8 @@ class _Run:
         self.runs += 1
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
-        budget = self.budget.share(share) if share < 1.0 else self.budget
         # Without the cache: each phase must observe its own world, also if an equal one was observed before.
-        return solve(problem, method, budget, seed, backend=self.backend, use_cache=False)
+        return solve(problem, method, self.budget.share(share), seed, backend=self.backend, use_cache=False)
 
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:
         """The outcome with its trajectory, whose rounded corners are certified too, or why there is none."""
