@@ -30,19 +30,19 @@ TRIES = 200  # pairs drawn for one whose straight motion is blocked
 def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
     """Problem `index` of a family, of the first scene that holds one: of index, 8000 + index, 8050 + index, ..."""
     spare = range(FIRST_SPARE_SCENE + index, FIRST_SPARE_SCENE + len(PROBLEMS) * (SCENES_DRAWN - 1), len(PROBLEMS))
-    return replace(_first_problem(family, (index, *spare), PANDA), name=str(index))
+    return _first_problem(str(index), family, (index, *spare), PANDA)
 
 
 def _first_problem(
-    family: str, numbers: Sequence[int], robot_source: Mapping[str, Any]
+    name: str, family: str, numbers: Sequence[int], robot_source: Mapping[str, Any]
 ) -> PlanningProblem | UnsolvableProblem:
     """Of the first of these scenes that holds a problem."""
     for number in numbers:
         found = family_problem(family, number, robot_source)
         if isinstance(found, PlanningProblem):
-            return found
+            return replace(found, name=name)
         reason = found.reason
-    return UnsolvableProblem(str(numbers[0]), f"{reason}, the last of {len(numbers)} scenes")
+    return UnsolvableProblem(name, f"{reason}, the last of {len(numbers)} scenes")
 
 
 def family_problem(
@@ -121,8 +121,8 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
     """
     first = FIRST_ROBOT_SCENE + index
     numbers = range(first, first + SCENES_DRAWN * len(ROBOT_PROBLEMS), len(ROBOT_PROBLEMS))
-    found = _first_problem(ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot])
+    found = _first_problem(str(index), ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot])
     if isinstance(found, UnsolvableProblem):
-        return replace(found, name=str(index))
+        return found
     there = TaskSpaceRegion(found.robot.pose(found.goals[0]), np.eye(4), np.zeros((6, 2)))
-    return replace(found, name=str(index), goals=np.empty((0, found.robot.dof)), goal_region=there)
+    return replace(found, goals=np.empty((0, found.robot.dof)), goal_region=there)
