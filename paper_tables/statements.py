@@ -12,7 +12,6 @@ CBIRRT = "ompl-projected"
 OPT, CVQ = "opt-cvq-mpt", "cvq-mpt"
 SEARCHES = (CBIRRT, "atlas-rrt", "tb-rrt")
 NAMED = (*SEARCHES, "mpnet")  # planners that the paper compares with
-OTHER_MACHINE = ("atlas-rrt", "tb-rrt")  # whose committed rows of seeds 1 and 2 were made on another machine
 PREDICTED = "as predicted"
 STEPS = (  # from the paper's CBiRRT to our own ideas: what is added, planner, against
     ("our search", REFERENCE, CBIRRT),
