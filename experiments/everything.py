@@ -76,7 +76,7 @@ FULL = (
     Amount("sensor-robustness", cutoff=3.0),
     Amount("open-door"),
     Amount("place-task", seeds=3),
-    Amount("multi-sequence"),
+    Amount("multi-sequence", seeds=3),
 )
 SMALL = (
     Amount("place-task", 10, cutoff=2.0),
