@@ -22,7 +22,7 @@ from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-FIRST_SHARE = 0.02  # of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take 0.24 s at most
+FIRST_SHARE = 0.02  # of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take up to 0.24 s
 RETRIES = 10  # times that a task goes back to another goal
 REPEATED = 1e-8  # [rad] between states that OMPL repeats, which cannot be timed
 SUBSTITUTE = "birrt"  # plans phases that the planner asked for cannot
