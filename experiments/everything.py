@@ -77,6 +77,7 @@ FULL = (
     Amount("open-door"),
     Amount("place-task", seeds=3),
     Amount("multi-sequence", seeds=3),
+    Amount("sensor", seeds=3),
 )
 SMALL = (
     Amount("place-task", 10, cutoff=2.0),
