@@ -6,6 +6,7 @@ constraint, search. Its stages are made, and its weights loaded, when they are f
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external.found import PEERS, external_names, find_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.guides import AroundPath, SolvedPaths, StraightLine, UnconstrainedPath
+from cvqmpt_lab.search.guides import AroundPath, solved_paths, straight_line, unconstrained_guide
 from cvqmpt_lab.search.informed_roadmap import InformedRoadmaps
 from cvqmpt_lab.search.query import Stages
 from cvqmpt_lab.search.roadmap import RoadmapPath, no_costs, other_costs, scene_costs
@@ -35,7 +36,6 @@ class Method:
     name: str
     build: Callable[[PlanningProblem, str], Stages]  # of a problem's robot and load, and a model, see `stages`
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
-    needs_constraint: bool = False
     needs_charts: bool = False  # of the manifold, which exist where joints are more than the constraint's bounded rows
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
@@ -67,8 +67,6 @@ class Method:
 
     def incompatibility(self, problem: PlanningProblem) -> str:
         """Why the planner cannot serve a problem, or ""."""
-        if self.needs_constraint and not problem.constraint:
-            return "it needs a constraint, and the problem has none"
         rows = sum(len(region.bounded_rows) for region in problem.constraint)
         if self.needs_charts and rows >= problem.robot.dof:
             return f"it needs more joints than the constraint bounds, {problem.robot.dof} joints and {rows} entries"
@@ -92,7 +90,7 @@ def _ompl(name: str, manifold: str) -> Method:
 
         return Stages(search=OmplSearch(manifold))
 
-    return Method(name, build, needs_constraint=True, needs_charts=manifold != "projected")
+    return Method(name, build, needs_charts=manifold != "projected")
 
 
 def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) -> Method:
@@ -139,7 +137,7 @@ def _product(name: str, choice: SamplerChoice) -> Method:
 
 
 def _straight_line(name: str, uniform_share: float) -> Method:
-    return Method.simple(name, predict=StraightLine(AroundPath(name, uniform_share=uniform_share)))
+    return Method.simple(name, predict=partial(straight_line, AroundPath(name, uniform_share=uniform_share)))
 
 
 def _external(name: str) -> Method:
@@ -180,39 +178,19 @@ ISOLATED = {
 """Products that say what one choice is worth."""
 
 CONTROLS = _by_name(
-    Method.simple("guided-birrt", predict=UnconstrainedPath(AroundPath("guide"))),
+    Method.simple("guided-birrt", predict=partial(unconstrained_guide, AroundPath("guide"))),
     _straight_line("straight-line", 0.15),
     _straight_line("straight-line-only", 0.0),
     *(_roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw) for draw in range(UNIFORM_DRAWS)),
     _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
     _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
     _roadmap("roadmap-true-edges", VQ_MPT, costs=no_costs, oracle=True),
-    Method.simple("solved-paths", predict=SolvedPaths(AroundPath("solved-paths", std=0.25))),
+    Method.simple("solved-paths", predict=partial(solved_paths, AroundPath("solved-paths", std=0.25))),
     *(_product(name, SamplerChoice.of(words)) for name, words in ISOLATED.items()),
 )
 
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
 """On weights of the authors' architecture, imported or trained: none ship."""
-
-REMOVED = {
-    "cvq-as-published": "cvq-published",
-    "cvq-no-uniform": "cvq-mpt",
-    "opt-algorithm-2": "opt-cvq-mpt",
-    "cvq-route": "roadmap-cvq",
-    "opt-cvq-route": "roadmap-cvq",
-    "cvq-cheapest": "graph-cvq",
-    "cvq-constraint-trained": "opt-cvq-mpt",
-    "route-constraint-trained": "roadmap-cvq",
-    "route-wrong-cloud": "roadmap-wrong-scene",
-    "route-no-cloud": "roadmap-no-scene",
-    "roadmap-wrong-cloud": "roadmap-wrong-scene",
-    "roadmap-no-cloud": "roadmap-no-scene",
-    "route-cheapest": "roadmap-cvq",
-    "roadmap-blind": "roadmap-no-scene",
-    "roadmap-sampler": "roadmap-cvq",
-    "roadmap-update": "opt-cvq-mpt",
-}
-"""Planners and controls that are gone, and what replaces each."""
 
 WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None)
 
@@ -222,10 +200,8 @@ def planner_named(name: str, model: str | None = None) -> Method:
 
     Planners of others are ``package.module:planner``, the adapters that ship, and entry points, see `external.found`.
     """
-    refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED, *REMOVED, *PEERS))
+    refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED, *PEERS))
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
-    if name in REMOVED:
-        raise InvalidInputError(f"planner {name} was removed; use {REMOVED[name]}")
     if name.startswith(PREFIX):
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
     elif ":" in name or name in PEERS or name in external_names():

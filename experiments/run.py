@@ -13,7 +13,7 @@ from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.external.found import PEERS
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import REMOVED, planner_named, require_fit
+from cvqmpt_lab.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
@@ -168,10 +168,10 @@ def run_experiment(
 
 
 def models_of(planner: str) -> tuple[str, ...]:
-    """Names of the models that a planner needs; of a removed one, those of what replaces it."""
+    """Names of the models that a planner needs."""
     if planner in PEERS or ":" in planner.removeprefix(PREFIX):
         return ()  # of others, perhaps not installed
-    kind = planner_named(REMOVED.get(planner, planner)).weights
+    kind = planner_named(planner).weights
     return () if kind is None else (kind,)
 
 
@@ -185,7 +185,7 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
 
 def externals_of(planners: Iterable[str]) -> dict[str, str]:
     """Distributions and versions of planners of others, by the planner's name."""
-    made_by = {name: planner_named(name).external for name in planners if name not in REMOVED}
+    made_by = {name: planner_named(name).external for name in planners}
     return {name: text for name, text in made_by.items() if text}
 
 

@@ -76,7 +76,7 @@ SIX = np.zeros((3, 6))
 @pytest.mark.parametrize(
     "call",
     [
-        lambda space, trees: birrt.grow(space.arrays, trees, SIX, 0, True, 1.0),
+        lambda space, trees: birrt.grow(space.arrays, trees, SIX, 0, 1.0),
         lambda space, trees: motion.bisect_motion(space.arrays, SIX[0], SIX[1], 1.0, SIX),
         lambda space, trees: motion.motion_free(space.arrays, SIX[0], SIX[1]),
         lambda space, trees: motion.refine_and_check(space.arrays, SIX, SIX),

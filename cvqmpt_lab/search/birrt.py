@@ -100,13 +100,10 @@ def grow(
     trees: Trees,
     samples: Annotated[np.ndarray, "count n"],
     first: int,
-    extend_both: bool,
     reach: float,
 ):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
-    extend_both: Algorithm 3 as printed, both trees extend to the sample and are then connected;
-    otherwise the second tree extends from its nearest node to where the first one stopped (CBiRRT).
     reach: longest extension towards a sample [rad]. Returns GROWING (samples used up), CONNECTED (trees.meeting holds
     the nodes) or FULL (capacity used up), and the index of the next unused sample.
     """
@@ -121,11 +118,9 @@ def grow(
         trees.turn[0] = b  # Swap
         node_a, node_b, met = 0, 0, False
         for stage in range(3):  # tree a to the sample, tree b to the sample, tree b to tree a: one call site
-            if stage == 1 and not extend_both:
-                continue
             tree = a if stage == 0 else b
             target = samples[i] if stage < 2 else nodes[a, node_a]
-            if stage == 2 and extend_both:
+            if stage == 2:
                 near = node_b
             else:
                 index_new_nodes(trees.nearest, tree, nodes[tree], size[tree])
@@ -202,7 +197,6 @@ CLOCK_BATCH = 16  # samples used before the clock is read, where a budget has se
 class BiRRT:
     """Bidirectional tree growth on the manifold."""
 
-    extend_both: bool = True  # Algorithm 3; False: the second tree extends to q_a at once, as in CBiRRT
     step: float = 0.15  # [rad] between neighbouring nodes; a found path is refined to the space's own step
     reach: float = 1.0  # [rad] longest extension towards a sample; chosen on the tuning environments
 
@@ -249,7 +243,7 @@ class BiRRT:
         first = 0
         while first < len(samples) and time.perf_counter() < deadline:
             part = samples[: first + most]
-            status, first = grow(arrays, trees, part, first, self.extend_both, self.reach)
+            status, first = grow(arrays, trees, part, first, self.reach)
             space.reraise()
             if status == FULL:
                 trees = enlarged(trees)

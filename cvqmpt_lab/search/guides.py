@@ -10,6 +10,9 @@ from cvqmpt_lab.search.result import JointPath, PlanResult
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
+LINES = 3  # to the nearest goals
+SOLVED_PATHS = 6  # of which the shortest is taken
+
 
 @dataclass(frozen=True)
 class AroundPath:
@@ -27,56 +30,36 @@ class AroundPath:
         return GaussianMixture.equal(means, covariance, query.uniform, self.uniform_share, self.name)
 
 
-@dataclass(frozen=True)
-class StraightLine:
+def straight_line(around: AroundPath, query: Query, observation: Observation) -> Proposal:
     """Gaussians along the straight lines to the goals nearest to the start; nothing is checked."""
-
-    around: AroundPath
-    goals: int = 3  # of the nearest
-
-    def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Propose."""
-        lines = [JointPath(np.stack([query.start, goal])) for goal in query.nearest_goals(self.goals)]
-        return Proposal(self.around.mixture(query, *lines))
+    lines = [JointPath(np.stack([query.start, goal])) for goal in query.nearest_goals(LINES)]
+    return Proposal(around.mixture(query, *lines))
 
 
-@dataclass(frozen=True)
-class SolvedPaths:
+def solved_paths(around: AroundPath, query: Query, observation: Observation) -> Proposal:
     """Around the shortest of several paths that solve the very problem, found beforehand: the bound of all mixtures.
 
-    The work of finding them is not counted, their time is.
+    Uniform samples where no path is found. The work of finding them is not counted, their time is.
     """
-
-    around: AroundPath
-    paths: int = 6
-
-    def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Solve with uniform samples, shorten, propose; uniform samples where nothing is found."""
-        aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
-        for _ in range(self.paths):
-            if query.deadline.spent():
-                break
-            budget = query.deadline.rest()
-            path = BiRRT().search(aside, query.start, query.goals, query.uniform, budget, query.rng).path
-            shorter = None if path is None else simplify(aside, path, query.rng).path
-            if shorter is not None and (best is None or shorter.length < best.length):
-                best = shorter
-        return Proposal(query.uniform if best is None else self.around.mixture(query, best))
+    aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
+    for _ in range(SOLVED_PATHS):
+        if query.deadline.spent():
+            break
+        budget = query.deadline.rest()
+        path = BiRRT().search(aside, query.start, query.goals, query.uniform, budget, query.rng).path
+        shorter = None if path is None else simplify(aside, path, query.rng).path
+        if shorter is not None and (best is None or shorter.length < best.length):
+            best = shorter
+    return Proposal(query.uniform if best is None else around.mixture(query, best))
 
 
-@dataclass(frozen=True)
-class UnconstrainedPath:
-    """What an unconstrained path suggests, which is planned and paid for first."""
-
-    around: AroundPath
-
-    def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Plan without the constraint, shorten, propose."""
-        path, found = unconstrained_path(query)
-        if path is None:
-            detail = "no unconstrained path"
-            return Proposal(query.uniform, detail=detail, vertices=found.vertices, failure=found.status)
-        return Proposal(self.around.mixture(query, path), vertices=found.vertices)
+def unconstrained_guide(around: AroundPath, query: Query, observation: Observation) -> Proposal:
+    """Around an unconstrained path, which is planned and paid for first."""
+    path, found = unconstrained_path(query)
+    if path is None:
+        detail = "no unconstrained path"
+        return Proposal(query.uniform, detail=detail, vertices=found.vertices, failure=found.status)
+    return Proposal(around.mixture(query, path), vertices=found.vertices)
 
 
 def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:

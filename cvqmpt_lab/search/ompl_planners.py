@@ -1,7 +1,8 @@
 """The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
 
 This file is the door to ompl. Projection, residual, Jacobian and state checks are the same kernels
-that `birrt` uses; parameters are those of the published experiment code.
+that `birrt` uses; parameters are those of the published experiment code. Without a constraint, as in some phases of
+tasks, all three are RRTConnect on the joints' space.
 """
 
 import math
@@ -82,7 +83,7 @@ class OmplSearch:
             seconds=time.perf_counter() - began,
             counters=space.counters_since(before),
             vertices=run.vertices,
-            sampler="atlas-charts" if self.manifold != "projected" else "uniform",
+            sampler="atlas-charts" if run.charts else "uniform",
         )
 
 
@@ -91,21 +92,26 @@ class _Run:
 
     def __init__(self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray) -> None:
         self._space = space
-        self._css = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
-        self._css.setDelta(DELTA)
-        information = (
-            ob.TangentBundleSpaceInformation if manifold == "tangent-bundle" else ob.ConstrainedSpaceInformation
-        )
-        self._information = information(self._css)
+        if space.dim:
+            self._states = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
+            self._states.setDelta(DELTA)
+            information = (
+                ob.TangentBundleSpaceInformation if manifold == "tangent-bundle" else ob.ConstrainedSpaceInformation
+            )
+        else:
+            self._states, information = _joint_space(space), ob.SpaceInformation
+            self._states.setLongestValidSegmentFraction(DELTA / self._states.getMaximumExtent())
+        self.charts = space.dim > 0 and manifold != "projected"
+        self._information = information(self._states)
         self._information.setStateValidityChecker(_validity(space))
         self._information.setup()
         self._problem = ob.ProblemDefinition(self._information)
         self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
-        self._given = self._css.allocState()  # one for all: its numbers are freed neither by Python nor by us
-        self._problem.addStartState(self._state(self._inside(start), manifold))
+        self._given = self._states.allocState()  # one for all: its numbers are freed neither by Python nor by us
+        self._problem.addStartState(self._state(self._inside(start)))
         goal = ob.GoalStates(self._information)
         for q in goals:
-            goal.addState(self._state(self._inside(q), manifold))
+            goal.addState(self._state(self._inside(q)))
         self._problem.setGoal(goal)
         self._planner = og.RRTConnect(self._information)
         self._planner.setProblemDefinition(self._problem)
@@ -124,11 +130,15 @@ class _Run:
         self._moved[moved.tobytes()] = q
         return moved
 
-    def _state(self, q: np.ndarray, manifold: str):
+    def _state(self, q: np.ndarray):
         """An OMPL state at q, to be copied before the next is made; atlas and tangent bundle anchor a chart there."""
-        self._given.copy([float(x) for x in q])
-        if manifold != "projected":
-            self._css.anchorChart(self._given)
+        if self._space.dim:
+            self._given.copy([float(x) for x in q])
+        else:
+            for i, x in enumerate(q):
+                self._given[i] = float(x)
+        if self.charts:
+            self._states.anchorChart(self._given)
         return self._given
 
     def _read(self, state) -> np.ndarray:

@@ -37,7 +37,7 @@ def perform(mark, task):
 def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkeypatch, count):
     monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
     tasks = ["answers", "dies", "too much memory", "hangs", "dies once", "answers", "answers"]
-    with local_processes(count, limit_s=1.0) as executor:
+    with local_processes(count, lambda task: 1.0) as executor:
         found = list(executor.results(partial(perform, tmp_path / "mark"), tasks))
     assert sorted(task for task, _ in found) == sorted(tasks)
     lost = {task: result for task, result in found if isinstance(result, Lost)}
@@ -109,7 +109,7 @@ def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
     monkeypatch.setattr(executors, "CONNECT_S", 0.3)
     told = r"no Dask scheduler answers at tcp://127.0.0.1:9: .*start one"
     with pytest.raises(InvalidInputError, match=told):
-        dask_cluster("tcp://127.0.0.1:9", 1.0, dict).__enter__()
+        dask_cluster("tcp://127.0.0.1:9", lambda task: 1.0, dict).__enter__()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InvalidInputError, match=r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"):
-        dask_cluster("tcp://127.0.0.1:9", 1.0, dict).__enter__()
+        dask_cluster("tcp://127.0.0.1:9", lambda task: 1.0, dict).__enter__()

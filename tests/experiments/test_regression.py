@@ -46,11 +46,11 @@ def test_runs_repeat_whatever_ran_before(few):
 
 
 def test_a_changed_planner_turns_red_here_and_a_broken_one_also_elsewhere(few, monkeypatch):
-    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BiRRT(extend_both=False)))
+    monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BiRRT(step=0.1)))
     mode, found = compare(Expectations(HERE, few), measure(FEW), HERE)
     assert mode.startswith("exactly")
     assert len(found) == 2, "both runs of birrt, and none of ompl-projected"
-    assert found[0].startswith("birrt, problem 2, seed 0, 20000 iterations: n_iterations was ")
+    assert found[0].startswith("birrt, problem 2, seed 0, 20000 iterations: n_")
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BrokenBiRRT()))
     mode, found = compare(Expectations(HERE, few), measure(FEW), ELSEWHERE)
     assert "by bounds, not bit for bit, since cpu_model this one -> another one" in mode

@@ -14,7 +14,7 @@ from process_memory import in_use
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import PLANNERS, Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -143,7 +143,7 @@ def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
     nowhere = problem.goals[:1] + 1e-3
     uniform = Uniform(problem.robot.lower, problem.robot.lower + 0.3)
     rng = np.random.default_rng(0)
-    planner = BiRRT(extend_both=False, reach=0.2)
+    planner = BiRRT(reach=0.2)
     began = time.perf_counter()
     result = planner.search(space, problem.start, nowhere, uniform, Budget(seconds=0.5), rng)
     assert result.status is PlanStatus.TIMEOUT and result.counters.iterations > 0
@@ -175,25 +175,22 @@ def test_samples_outside_the_limits_are_clipped(problem):
     assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
 
 
-@pytest.mark.parametrize("extend_both", [True, False])
-def test_both_forms_of_algorithm_3_solve(problem, extend_both):
-    result = plan(problem, Method.simple("birrt", search=BiRRT(extend_both=extend_both)), ENOUGH, seed=2)
-    assert certify(problem, result.path, clearance=False).valid
-
-
 def test_without_a_constraint(problem):
     free = replace(problem, constraint=())
     solution = solve(free, "birrt", ENOUGH, seed=0)
     assert solution.solved and solution.plan.counters.projections == 0
-    with pytest.raises(InvalidInputError, match=r"it needs a constraint.* can: birrt, roadmap$"):
-        solve(free, "ompl-projected", ENOUGH, seed=0)
+    for name in ("ompl-projected", "atlas-rrt", "tb-rrt"):
+        solutions = [solve(free, name, ENOUGH, seed=0) for _ in range(2)]
+        assert all(found.solved and found.plan.sampler == "uniform" for found in solutions)
+        assert np.array_equal(*(found.plan.path.states for found in solutions)), "the same seed, the same path"
 
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_a_start_that_is_a_goal_is_solved(problem, name):
     there = replace(problem, goals=problem.start[None], goal_region=None)
-    solution = solve(there, planner_named(name), Budget(seconds=10.0), seed=0)
+    solution = solve(there, planner_named(name), Budget(seconds=10.0), seed=0, optimize=Budget(seconds=0.02))
     assert solution.solved and solution.simplified.path.length < 0.5
+    assert 0.0 <= solution.improvement.gained <= 1.0
 
 
 class Broken(CollisionChecker):

@@ -99,11 +99,8 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
 
 def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
     problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
-    for names, phase, words in (
-        (("ompl-projected", "atlas-rrt", "tb-rrt"), "reach-can", "needs a constraint"),
-        (("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"), "open-door", "weights are for"),
-    ):
-        for name in names:
-            why = {n: PLANNERS[name].incompatibility(problems[n]) for n in ("carry", "open-door", "reach-can")}
-            assert words in why.pop(phase) and set(why.values()) == {""}
-    assert all(PLANNERS["birrt"].incompatibility(problem) == "" for problem in problems.values())
+    for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
+        why = {n: PLANNERS[name].incompatibility(problems[n]) for n in ("carry", "open-door", "reach-can")}
+        assert "weights are for" in why.pop("open-door") and set(why.values()) == {""}
+    for name in ("birrt", "ompl-projected", "atlas-rrt", "tb-rrt"):
+        assert all(PLANNERS[name].incompatibility(problem) == "" for problem in problems.values())

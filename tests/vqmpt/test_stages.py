@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import CONTROLS, REMOVED, planner_named
+from cvqmpt_lab.planners import CONTROLS
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from experiments.suites.place_task import place_problem
 
@@ -42,10 +41,3 @@ def test_a_roadmap_needs_its_own_scene(method, shown_another):
         work = [counters.projections + counters.state_checks for counters in (own, wrong)]
         ratios.append(np.log(work[1] / work[0]))
     assert np.exp(np.mean(ratios)) > 1.3
-
-
-@pytest.mark.parametrize("name", REMOVED)
-def test_a_removed_planner_is_refused_with_what_replaces_it(name):
-    with pytest.raises(InvalidInputError, match=f"planner {name} was removed; use {REMOVED[name]}$"):
-        planner_named(name)
-    assert planner_named(REMOVED[name])
