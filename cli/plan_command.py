@@ -13,14 +13,12 @@ from cli.planner_options import add_budget, add_optimize, budget, optimize_budge
 from cli.robot_options import add_problem, problem_asked, refuse_robot, with_clearance
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
-from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
-from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.suite import SUITES, suite_named
@@ -65,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    for path in filter(None, (args.save_path, None if args.task_file else args.trajectory)):
-        writable_file(path)
+    if args.save_path:
+        writable_file(args.save_path)
     check_show(args)
     whole_number("--seed", args.seed)
     problem = _asked(args)
@@ -75,6 +73,8 @@ def run(args: argparse.Namespace) -> int:
         from cli.plan_task import run_task  # timing needs scipy.interpolate, half a second to import
 
         return run_task(args, problem)
+    if args.trajectory:
+        writable_file(args.trajectory)
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
     method = planner_named(planner, args.model)
     if args.cloud and not motion_given(args):  # of a suite or file, whose own obstacles count
@@ -145,18 +145,13 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     """Time the certified path, certify the motion too, write it; the line that says so."""
-    from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+    from cvqmpt_lab.motion_check import certified_motion
+    from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
     if not solution.solved or solution.simplified is None:
         return "trajectory  none: only certified paths are timed"
-    problem = solution.problem
-    motion = time_path(
-        solution.simplified.path.states,
-        problem.robot.joint_limits,
-        TimingSettings(speed=args.speed),
-        lambda states: certify(problem, JointPath(states), clearance=False).reasons,
-    )
+    motion = certified_motion(solution.problem, solution.simplified.path, TimingSettings(speed=args.speed))
     save_trajectory(motion, args.trajectory)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "

@@ -12,11 +12,12 @@ from typing import Any
 from cli.options import log
 from cli.plan_report import as_json, solution_data
 from cli.planner_options import budget
-from cli.show_options import show_task
+from cli.show_options import show_solution
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PHASES, Phase, PlannedPhase, Task
@@ -38,6 +39,7 @@ def run_task(args: argparse.Namespace, task: Task) -> int:
     planner = planner_named(args.planner, args.model)
     compile_kernels(log)
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)
+    robot_from_source(task.robot).joint_limits.scaled(timing.speed)  # refused before anything is planned
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)
     if args.json:
         print(as_json(task_data(solution, args.planner)))
@@ -46,7 +48,7 @@ def run_task(args: argparse.Namespace, task: Task) -> int:
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.trajectory is not None:
         say(_write_trajectories(solution, args.trajectory, timing.speed))
-    for line in show_task(args, solution):
+    for line in show_solution(args, solution):
         say(line)
     return 0 if solution.solved else 1
 

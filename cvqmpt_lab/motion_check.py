@@ -6,7 +6,7 @@ Where accelerations are stated, a controller may take the quintic through these 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,11 +23,15 @@ from cvqmpt_lab.trajectory.trajectory_files import Motion
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import, needed for trajectories alone
 
+    from cvqmpt_lab.trajectory.timing import TimingSettings
+    from cvqmpt_lab.trajectory.trajectory import Trajectory
+
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
 # Share by which limits may be exceeded: cubic pieces between the points of a motion that `time_path` timed to its
 # limits have accelerations up to 4 % above the stated ones.
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
+REPEATED = 1e-8  # [rad] between states of a path that are taken for one: OMPL repeats some, which cannot be timed
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 BETWEEN = 1.02  # times the largest acceleration there is more than that in between
 MOST_PIECES = 100_000
@@ -42,6 +46,26 @@ class DryRun(NamedTuple):
     times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
     apart: float = 0.0  # [m] of the robot's points on the motion from those on straight pieces, at most
     curve: str = ""  # "cubic" or "quintic", the worse one of those judged; "" for a path
+
+
+def certified_motion(problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None) -> Trajectory:
+    """The fastest motion along a path whose cubics, as a controller interpolates them, are certified.
+
+    InvalidInputError: the path does not move, the robot has no acceleration limits, or no motion is certified.
+    """
+    from cvqmpt_lab.trajectory.timing import time_path  # half a second to import
+
+    steps = np.linalg.norm(np.diff(path.states, axis=0), axis=1)
+    states = path.states[np.append(True, steps > REPEATED)]
+    if len(states) < 2:
+        raise InvalidInputError("the path does not move: there is nothing to time")
+    states[-1] = path.states[-1]
+
+    def faults(motion: Trajectory) -> Sequence[str]:
+        moving = Motion(motion.joint_names, motion.positions, motion.times, motion.velocities)
+        return dry_run(problem, moving).certificate.reasons
+
+    return time_path(states, problem.robot.joint_limits, settings, faults)
 
 
 def dry_run(
@@ -61,7 +85,7 @@ def dry_run(
     if motion.times is None or not usable:
         certificate = certify(problem, JointPath(states))
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
-    apart = 2.0 * reach_with(robot, problem.attachments) * robot.dof * FLAT
+    apart = max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * FLAT  # a slider moves points by it
     runs = []
     for name, curve in _curves(motion).items():
         times = _moments(curve, robot.joint_limits)

@@ -10,6 +10,7 @@ import numpy as np
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
@@ -103,7 +104,10 @@ def _goes_on(task: Task, k: int, world: World) -> bool:
     """Whether the slide or turn after phase k has goals from a world."""
     after = following(task, k + 1)
     assert after is not None
-    problem = world_before(task, world, k + 1, after[0]).problem(task, after[1])
+    try:
+        problem = world_before(task, world, k + 1, after[0]).problem(task, after[1])
+    except InvalidInputError:  # what is grasped there is too far
+        return False
     if _checker(problem).in_collision(problem.start):
         return False
     effort = EFFORT[type(after[1])]

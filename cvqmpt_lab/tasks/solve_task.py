@@ -9,22 +9,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, require_kind, whole_number
+from cvqmpt_lab.motion_check import certified_motion
 from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.tasks.phase_goals import following, phase_goals, prepare, world_before
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
-from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 FIRST_SHARE = 0.02  # of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take up to 0.24 s
 RETRIES = 10  # times that a task goes back to another goal
-REPEATED = 1e-8  # [rad] between states that OMPL repeats, which cannot be timed
 SUBSTITUTE = "birrt"  # plans phases that the planner asked for cannot
 
 
@@ -228,16 +227,9 @@ class _Run:
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:
         """The outcome with its trajectory, whose rounded corners are certified too, or why there is none."""
         assert outcome.solution.simplified is not None
-        problem, states = outcome.solution.problem, outcome.solution.simplified.path.states
-        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
         began = time.perf_counter()
         try:
-            trajectory = time_path(
-                states[np.append(True, steps > REPEATED)],
-                problem.robot.joint_limits,
-                self.timing,
-                lambda curve: certify(problem, JointPath(curve), clearance=False).reasons,
-            )
+            trajectory = certified_motion(outcome.solution.problem, outcome.solution.simplified.path, self.timing)
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
         return replace(outcome, trajectory=trajectory, timing_seconds=time.perf_counter() - began)

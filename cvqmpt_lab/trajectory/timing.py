@@ -28,12 +28,11 @@ def time_path(
     waypoints: np.ndarray,
     limits: JointLimits,
     settings: TimingSettings | None = None,
-    check: Callable[[np.ndarray], Sequence[str]] | None = None,
+    check: Callable[[Trajectory], Sequence[str]] | None = None,
 ) -> Trajectory:
     """The fastest motion along waypoints (m, n) [rad] within the limits, at rest at both ends.
 
-    check: faults of states (k, n) of the rounded path, such as
-        ``lambda states: certify(problem, JointPath(states)).reasons``. While there are any, corners are cut less.
+    check: faults of the motion, see `motion_check.certified_motion`. While there are any, corners are cut less.
     """
     settings = settings or TimingSettings()
     states = checked_waypoints(waypoints)
@@ -43,19 +42,13 @@ def time_path(
             f"{', '.join(limits.joint_names)}"
         )
     limits = limits.scaled(settings.speed)
-    curve = _accepted_curve(states, settings.deviation, check)
-    return _trajectory(curve, squared_speeds(curve, limits), limits)
-
-
-def _accepted_curve(
-    states: np.ndarray, deviation: float, check: Callable[[np.ndarray], Sequence[str]] | None
-) -> SmoothCurve:
     reasons: Sequence[str] = ()
     for k in range(TIGHTENINGS + 1):
-        curve = smooth_curve(states, deviation / 4**k)
-        reasons = check(curve.spline(curve.grid)) if check else ()
+        curve = smooth_curve(states, settings.deviation / 4**k)
+        motion = _trajectory(curve, squared_speeds(curve, limits), limits)
+        reasons = check(motion) if check else ()
         if not reasons:
-            return curve
+            return motion
     raise InvalidInputError(
         f"the path with rounded corners is refused even {curve.deviation:.1e} rad from it: "
         f"{'; '.join(reasons)}; plan with another seed"

@@ -73,7 +73,7 @@ def _from_csv(text: str) -> Motion:
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if not rows:
         raise InvalidInputError("it is empty")
-    header = None if _is_number(rows[0][0]) else tuple(name.strip() for name in rows[0])
+    header = None if all(map(_is_number, rows[0])) else tuple(name.strip() for name in rows[0])
     lines = rows if header is None else rows[1:]
     table = np.array([[float(x) for x in row] for row in lines]).reshape(len(lines), -1)
     if header is not None and lines and table.shape[1] != len(header):

@@ -11,13 +11,15 @@ from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.motion_check import certified_motion, dry_run
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from cvqmpt_lab.trajectory.trajectory_files import Motion
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 
 FULL = TimingSettings(speed=1.0)
@@ -67,14 +69,26 @@ def test_the_motion_stays_as_close_to_the_path_as_it_says(paths, limits, deviati
 def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
     seen = []
 
-    def too_far(states):
-        seen.append(segment_distances(states, paths[0]).max())
+    def too_far(motion):
+        seen.append(segment_distances(motion.positions, paths[0]).max())
         return ("too far",) if seen[-1] > 2e-4 else ()
 
     motion = time_path(paths[0], limits, FULL, too_far)
     assert len(seen) > 1 and seen[0] > 2e-4 and segment_distances(motion.positions, paths[0]).max() <= 2e-4
     with pytest.raises(InvalidInputError, match=r"refused even .* rad from it: never"):
-        time_path(paths[0], limits, FULL, lambda states: ("never",))
+        time_path(paths[0], limits, FULL, lambda motion: ("never",))
+
+
+def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
+    """Its cubics, between all points; states that repeat are one, and a path that stands is refused."""
+    for found in solutions:
+        path = JointPath(np.repeat(found.simplified.path.states, 2, axis=0))
+        motion = certified_motion(found.problem, path, FULL)
+        moving = Motion(motion.joint_names, motion.positions, motion.times, motion.velocities)
+        assert dry_run(found.problem, moving).certificate.valid
+        np.testing.assert_allclose(motion.positions[[0, -1]], path.states[[0, -1]], atol=1e-12)
+    with pytest.raises(InvalidInputError, match="the path does not move"):
+        certified_motion(found.problem, JointPath(path.states[:2]), FULL)
 
 
 def test_times_that_are_not_numbers_are_refused(motion):
