@@ -65,7 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
     add("--device", default="auto", help="cpu, cuda, or auto (auto)")
     add("--workers", type=int, default=0, metavar="J", help="processes that prepare batches (0: none)")
-    add("--skip-checksums", action="store_true", help="trust the shards of --data")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,11 +72,6 @@ def run(args: argparse.Namespace) -> int:
     require_torch("cvqmpt train")
     from cvqmpt_lab.training.trainer import joined_processes, run_training
 
-    if args.stage == "sequences":
-        raise InvalidInputError(
-            "train sequences was removed: cvq-mpt predicts by the transformer of `cvqmpt train transformer`, graph-cvq "
-            "by Dijkstra's algorithm on the edge costs of `cvqmpt train edge-model`"
-        )
     profile = _profile(args)
     if args.print_config:
         print(json.dumps(to_plain(profile, complete=True), indent=2))
@@ -102,7 +96,6 @@ def run(args: argparse.Namespace) -> int:
         minutes=args.minutes,
         workers=args.workers,
         device=args.device,
-        verify=not args.skip_checksums,
         metadata={"command": command, "provenance": origin},
         report=ProgressBar(args.stage),
     )

@@ -115,7 +115,7 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
     path = out / DESCRIPTION_FILE
     if path.exists():
         existing = read_json_object(path).get("recipe", {})
-        if {"robot": PANDA, **existing} != settings:  # datasets of the Panda alone do not name it
+        if existing != settings:
             raise InvalidInputError(f"{out} holds a dataset of another recipe, {existing}; choose another --out")
         return
     description = {

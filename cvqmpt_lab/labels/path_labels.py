@@ -176,7 +176,7 @@ def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
 
 def dataset_card(folder: Path) -> str:
     """What a dataset holds, counted from its shards, and how far two labels of one problem lie apart."""
-    dataset = open_dataset(folder, verify=False)
+    dataset = open_dataset(folder)
     every = range(len(dataset.families))
     lines = [
         f"# Training paths of {dataset.robot.name}",

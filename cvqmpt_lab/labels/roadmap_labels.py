@@ -29,7 +29,7 @@ from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import LINKS, ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
-from cvqmpt_lab.vqmpt.sampler import links_of, nearest_rows
+from cvqmpt_lab.vqmpt.sampler import links_of
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
@@ -159,7 +159,12 @@ def free_roadmap(robot: Robot) -> Roadmap:
 
 
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
-    """Nodes and undirected edges of a roadmap, and which of them the robot itself allows."""
+    """Nodes and undirected edges of a roadmap, and which of them the robot itself allows.
+
+    InvalidInputError for a roadmap of fewer nodes than ends are linked to, or one whose edges are too long to check.
+    """
+    if len(roadmap.nodes) <= LINKS:
+        raise InvalidInputError(f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}")
     edges = links_of(roadmap).edges
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
@@ -238,7 +243,7 @@ def roadmap_labels(
     starts, goals = ends[:STARTS], ends[STARTS:]
     every = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
     linked_ends = np.concatenate([ends, _confined(space, np.random.default_rng((*seed, 1)))])
-    near = nearest_rows(graph.nodes, linked_ends, LINKS)
+    near = _nearest_rows(graph.nodes, linked_ends)
     nodes, count = np.concatenate([graph.nodes, linked_ends]), len(graph.nodes)
     of_end = np.repeat(count + np.arange(len(linked_ends)), LINKS)
     links = np.stack([of_end, near.ravel()], axis=1).astype(np.int32)
@@ -271,6 +276,12 @@ def roadmap_labels(
         "cost": cost[s, g].astype(np.float32),
         "differs": np.array([a != b for a, b in zip(codes, others, strict=True)], bool),
     }
+
+
+def _nearest_rows(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Rows (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), in the order that labels are stored in."""
+    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
+    return np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:

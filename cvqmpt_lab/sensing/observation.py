@@ -1,7 +1,6 @@
 """The point cloud that a planner with a network is given of a scene."""
 
 import json
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -12,6 +11,7 @@ import numpy as np
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError, whole_number
+from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
@@ -32,18 +32,11 @@ class Observer:
         whole_number("scenes kept by an observer", scenes, 1)
         whole_number("seed", seed)
         self.settings = CameraSettings.like_training() if settings is None else settings
-        self.seed, self._kept = seed, scenes
-        self._clouds: OrderedDict[Scene, np.ndarray] = OrderedDict()
+        self.seed, self._clouds = seed, Latest[np.ndarray](scenes)
 
     def __call__(self, scene: Scene) -> np.ndarray:
         """The cloud (m, 3) [m] of a scene, not to be written to."""
-        if scene in self._clouds:
-            self._clouds.move_to_end(scene)
-        else:
-            self._clouds[scene] = self._look(scene)
-            if len(self._clouds) > self._kept:
-                self._clouds.popitem(last=False)
-        return self._clouds[scene]
+        return self._clouds.get(scene, lambda: self._look(scene))
 
     def of_points(self, points: np.ndarray) -> np.ndarray:
         """The cloud (m, 3) of measured points (p, 3) [m, base frame]; InvalidInputError if none is in the crop."""

@@ -173,8 +173,8 @@ class PathDataset:
         return replace(self, paths=replace(paths, start=start, waypoints=paths.waypoints[kept]))
 
 
-def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
-    """Read a whole dataset into memory; of roadmap labels some paths of each scene. verify: compare checksums.
+def open_dataset(folder: Path) -> PathDataset:
+    """Read a whole dataset into memory; of roadmap labels some paths of each scene.
 
     InvalidInputError names the file that is missing, damaged or of another schema.
     """
@@ -184,7 +184,7 @@ def open_dataset(folder: Path, *, verify: bool = True) -> PathDataset:
     if (folder / ROADMAP_FILE).exists():
         shards = [_path_arrays(shard, robot) for shard in read_roadmap_shards(folder)]
     else:
-        shards = [read_shard(folder, row, joints, len(families), verify=verify) for row in read_index(folder)]
+        shards = [read_shard(folder, row, joints, len(families)) for row in read_index(folder)]
     digest = hashlib.sha256(read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)).hexdigest()
     return PathDataset(folder, robot, families, chain, digest, together_scenes(shards), _paths(shards))
 

@@ -64,16 +64,8 @@ class Profile:
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
         return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)
 
-    def stage(
-        self,
-        name: str,
-        data: Path,
-        dictionary: Path | None,
-        seed: int,
-        device: torch.device,
-        verify: bool = True,
-    ) -> Stage:
-        """A stage, ready to be trained on a folder of data; dictionary: folder of stage 1. verify: compare checksums.
+    def stage(self, name: str, data: Path, dictionary: Path | None, seed: int, device: torch.device) -> Stage:
+        """A stage, ready to be trained on a folder of data; dictionary: folder of stage 1.
 
         InvalidInputError or UnknownChoiceError: no such stage, or data, dictionary and model do not fit each other.
         """
@@ -90,7 +82,7 @@ class Profile:
             else:
                 made = TransformerStage(labels, words, self.transformer, self.transformer_model, seed, device)
             return made.require_splits()
-        dataset = open_dataset(data, verify=verify)
+        dataset = open_dataset(data)
         if name == "stage1":
             return Stage1(dataset, self.model_for(dataset), self.stage1, seed, device)
         if name == "mpnet":

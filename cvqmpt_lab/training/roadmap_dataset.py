@@ -22,10 +22,8 @@ from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,
     INDEX_FILE,
-    LINKS,
     ROADMAP_FILE,
     RoadmapGraph,
-    RoadmapShard,
     read_roadmap_shards,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
@@ -49,7 +47,7 @@ class RoadmapDataset:
     ends: np.ndarray  # (p, 2, n) uint16: start and goal, u times FULL_SCALE
     code_start: np.ndarray  # (p + 1,) int64: ranges into the codes
     codes: np.ndarray  # (c,) uint16
-    link_start: np.ndarray  # (s + 1,) int64: ranges into the ends of links; empty where none are labelled
+    link_start: np.ndarray  # (s + 1,) int64: ranges into the ends of links
     link_end: np.ndarray  # (e, n) uint16: configurations, u times FULL_SCALE
     link_code: np.ndarray  # (e, k) uint16: the nodes near each
     link_free: np.ndarray  # (e, k) bool: the straight motion between both is free
@@ -68,11 +66,6 @@ class RoadmapDataset:
         lower, upper = np.array(self.robot.lower), np.array(self.robot.upper)
         return (lower + joints / FULL_SCALE * (upper - lower)).astype(np.float32)
 
-    @property
-    def has_links(self) -> bool:
-        """Whether motions from configurations to codes are labelled in every scene with paths."""
-        return bool((np.diff(self.link_start)[self.path_scene] > 0).all())
-
     def free(self, scenes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which nodes (k, N) and edges (k, E) are free in scenes, bool."""
         nodes, edges = self.graph.nodes, self.graph.edges
@@ -90,7 +83,7 @@ def open_roadmap_dataset(folder: Path) -> RoadmapDataset:
             f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate --labels roadmap"
         )
     shards = read_roadmap_shards(folder)
-    arrays = [no_links(shard) | shard.arrays for shard in shards]
+    arrays = [shard.arrays for shard in shards]
     found = np.isfinite(together(arrays, "cost")) & (np.diff(together_ranges(arrays, "code_start", "codes")) > 0)
     start = together_ranges(arrays, "code_start", "codes")
     count, codes = np.diff(start), together(arrays, "codes")
@@ -114,14 +107,3 @@ def open_roadmap_dataset(folder: Path) -> RoadmapDataset:
         link_code=together(arrays, "link_code"),
         link_free=together(arrays, "link_free"),
     )
-
-
-def no_links(shard: RoadmapShard) -> dict[str, np.ndarray]:
-    """Arrays of links for a shard that was made before links were labelled."""
-    joints = shard.graph.nodes.shape[1]
-    return {
-        "link_start": np.zeros(len(shard.arrays["family"]) + 1, np.int32),
-        "link_end": np.empty((0, joints), np.uint16),
-        "link_code": np.empty((0, LINKS), np.uint16),
-        "link_free": np.empty((0, LINKS), bool),
-    }

@@ -1,8 +1,8 @@
 """Training of sequence models on roadmap labels: shortest code sequences, and which nodes and edges are free.
 
-The loss of a batch is the mean cross entropy of the next code, plus the binary cross entropies of P(code free) and
-P(edge free), the latter twice, where a model predicts them; and that of P(link free), twice as well, where motions
-between configurations and codes near them are labelled. Every path is learned from both ways.
+The loss of a batch is the mean cross entropy of the next code, plus the binary cross entropies of P(code free),
+P(edge free) and P(link free), the latter two twice, where a model predicts them. Links are the motions between
+configurations and codes near them. Every path is learned from both ways.
 """
 
 from abc import abstractmethod
@@ -72,8 +72,8 @@ class RoadmapBatches(Dataset):
     """Batches: scene (s,); the arrays of their clouds; node_free (s, N), edge_free (s, E) bool.
 
     starts (s, u, n) and goals (s, g, n) [rad], and which of them each path joins, start and goal (s, r); codes
-    (s, r, l), padded with 0, and how many there are, count (s, r). Where links are labelled, link_end (s, k, n) [rad],
-    link_code (s, k, l) and link_free (s, k, l) bool; else k = 0.
+    (s, r, l), padded with 0, and how many there are, count (s, r). Of links, link_end (s, k, n) [rad], link_code
+    (s, k, l) and link_free (s, k, l) bool.
     """
 
     def __init__(
@@ -94,7 +94,6 @@ class RoadmapBatches(Dataset):
         self._cloud = settings.cloud if augmented else settings.cloud.without_augmentation()
         self._first = np.searchsorted(dataset.path_scene, np.arange(len(dataset.scenes) + 1))
         self._count = np.diff(dataset.code_start)
-        self._links_each = settings.link_ends if dataset.has_links else 0
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -151,8 +150,8 @@ class RoadmapBatches(Dataset):
 
     def _links(self, scene: int, rng: np.random.Generator) -> np.ndarray:
         """Rows (k,) of some of a scene's ends of links."""
-        first, last = self._dataset.link_start[scene : scene + 2]
-        return rng.choice(np.arange(first, last), self._links_each, replace=last - first < self._links_each)
+        (first, last), count = self._dataset.link_start[scene : scene + 2], self._settings.link_ends
+        return rng.choice(np.arange(first, last), count, replace=last - first < count)
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:

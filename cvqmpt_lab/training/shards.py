@@ -25,8 +25,7 @@ With ``--labels roadmap``::
         code_start (p+1,) int32: ranges into codes (c,) uint16
         cost (p,) float32: length through the codes [rad], inf where there is no path; straight (p,) float32 [rad]
         link_start (s+1,) int32: ranges into the ends of links, link_end (e,n) uint16: u * 65535; link_code (e,20)
-        uint16: the nodes nearest to each; link_free (e,20) bool: the straight motion between both is free. Shards
-        made before there were such labels have none of the four
+        uint16: the nodes nearest to each; link_free (e,20) bool: the straight motion between both is free
         differs (p,) bool: the codes are others than those of the shortest path in an empty scene
 """
 
@@ -148,15 +147,18 @@ def _read_arrays(path: Path, data: bytes) -> dict[str, np.ndarray]:
         raise InvalidInputError(f"{path} is not a readable archive of arrays: {error}") from error
 
 
-def read_shard(
-    folder: Path, row: IndexRow, joints: int, families: int, *, verify: bool = True
-) -> dict[str, np.ndarray]:
-    """Arrays of one shard; InvalidInputError names those that contradict each other or the index."""
+def _shard_arrays(folder: Path, row: IndexRow) -> tuple[Path, dict[str, np.ndarray]]:
+    """File and arrays of one shard; InvalidInputError where it is missing, or not as it was written."""
     path = folder / SHARDS_FOLDER / row.file
     data = read_bytes(require_regular_file(path))
-    if verify and hashlib.sha256(data).hexdigest() != row.sha256:
+    if hashlib.sha256(data).hexdigest() != row.sha256:
         raise InvalidInputError(f"{path} is damaged (sha256); fetch or generate it again")
-    arrays = _read_arrays(path, data)
+    return path, _read_arrays(path, data)
+
+
+def read_shard(folder: Path, row: IndexRow, joints: int, families: int) -> dict[str, np.ndarray]:
+    """Arrays of one shard; InvalidInputError names those that contradict each other or the index."""
+    path, arrays = _shard_arrays(folder, row)
     for name, (dimensions, kinds) in _REQUIRED.items():
         if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in kinds:
             raise InvalidInputError(f"{path}: array {name} is missing or not as described")
@@ -240,15 +242,15 @@ class RoadmapShard(NamedTuple):
     @classmethod
     def read(cls, folder: Path, row: IndexRow, graph: RoadmapGraph) -> Self:
         """One shard; InvalidInputError where it is missing, damaged or of another roadmap."""
-        path = folder / SHARDS_FOLDER / row.file
-        arrays = _read_arrays(path, read_bytes(require_regular_file(path)))
+        path, arrays = _shard_arrays(folder, row)
         bits = [(row.scenes, -(-len(part) // 8)) for part in (graph.nodes, graph.edges)]
         try:
             fits = [arrays["node_free"].shape, arrays["edge_free"].shape] == bits
             fits = fits and len(arrays["code_start"]) == len(arrays["ends"]) + 1 == row.paths + 1
+            fits = fits and _links_fit(arrays, row.scenes, graph)
         except KeyError as error:
             raise InvalidInputError(f"{path}: array {error} is missing; generate it again") from error
-        if not fits or not _links_fit(arrays, row.scenes, graph):
+        if not fits:
             raise InvalidInputError(f"{path} does not fit {ROADMAP_FILE} or the index; generate it again")
         return cls(arrays, graph)
 
@@ -262,15 +264,10 @@ class RoadmapShard(NamedTuple):
 
 
 def _links_fit(arrays: dict[str, np.ndarray], scenes: int, graph: RoadmapGraph) -> bool:
-    """Whether the arrays of links, if any, fit each other and the roadmap."""
-    if "link_start" not in arrays:
-        return True
-    try:
-        ends, codes, free = (arrays[name] for name in ("link_end", "link_code", "link_free"))
-    except KeyError:
-        return False
+    """Whether the arrays of links fit each other and the roadmap."""
+    start, ends, codes, free = (arrays[name] for name in ("link_start", "link_end", "link_code", "link_free"))
     return (
-        _are_ranges(arrays["link_start"], scenes, len(ends))
+        _are_ranges(start, scenes, len(ends))
         and ends.shape == (len(ends), graph.nodes.shape[1])
         and codes.shape == free.shape == (len(ends), LINKS)
         and _within(codes, 0, len(graph.nodes))

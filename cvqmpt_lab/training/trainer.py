@@ -82,7 +82,6 @@ def run_training(
     minutes: float | None = None,  # when to stop, from now
     workers: int = 0,  # processes that prepare batches
     device: str = "auto",  # cpu, cuda, or auto for whichever is there
-    verify: bool = True,  # compare shards with their checksums
     metadata: Mapping[str, Any],  # kept with the model
     report: Report = lambda done, total, note: None,
 ) -> Progress:
@@ -94,7 +93,7 @@ def run_training(
     """
     seed = whole_number("seed", seed)
     rank, count = joined_processes()
-    made = profile.stage(stage, data, dictionary, seed, _device(device), verify)
+    made = profile.stage(stage, data, dictionary, seed, _device(device))
     dataset = made.dataset
     if count > 1 and not made.many_processes:
         raise InvalidInputError(f"{stage} is trained by one process, not {count}; leave torchrun out")

@@ -78,9 +78,7 @@ class TransformerStage(RoadmapStage):
         start = Ends(*(chosen(part, batch["start"]) for part in starts))
         goal = Ends(*(chosen(part, batch["goal"]) for part in goals))
         logits = self.module.logits(scenes, start, goal, chosen(V, batch["goal"]), batch["codes"])
-        links = None
-        if batch["link_end"].shape[1]:
-            links = self.module.link_odds(scenes, batch["link_end"], batch["link_code"])
+        links = self.module.link_odds(scenes, batch["link_end"], batch["link_code"])
         return Predicted(logits, scenes.node_odds, scenes.edge_odds, links)
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:

@@ -4,11 +4,10 @@ The cloud becomes a distance field. Along a motion, the smallest clearance of th
 curve fitted to several arms (`edge_curve`) turns it into log odds. Nothing is checked exactly.
 """
 
-from collections import OrderedDict
-
 import numpy as np
 
 from cvqmpt_lab.collision.arrays import robot_arrays
+from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.vqmpt.clearances import EdgeArrays, fill_distances, motion_log_odds
@@ -33,21 +32,18 @@ class EdgeModel:
         shape = tuple(np.ceil((UPPER - LOWER) / CELL).astype(int))
         nothing = np.zeros(shape, dtype=np.uint8)
         self.empty = _edge_arrays(robot.dof, nothing, geometry.sphere[used], rows[used])
-        self._fields: OrderedDict[bytes, EdgeArrays] = OrderedDict()
+        self._fields = Latest[EdgeArrays](CLOUDS)
 
     def arrays(self, cloud: np.ndarray, use_cache: bool = True) -> EdgeArrays:
         """The model with the distance field of a cloud (m, 3) [m, robot base frame], for kernels."""
-        key = cloud.tobytes()
-        if not use_cache or key not in self._fields:
-            distance = np.empty_like(self.empty.distance)
-            points = np.array(cloud, dtype=float, order="C")  # kernels take no read-only arrays
-            span, square = np.empty((2, 3), np.int64), np.empty(distance.shape, np.float32)
-            fill_distances(points, LOWER, CELL, span, square, distance)
-            self._fields[key] = self.empty._replace(distance=distance)
-            if len(self._fields) > CLOUDS:
-                self._fields.popitem(last=False)
-        self._fields.move_to_end(key)
-        return self._fields[key]
+        return self._fields.get(cloud.tobytes(), lambda: self._with_distances(cloud), use_cache)
+
+    def _with_distances(self, cloud: np.ndarray) -> EdgeArrays:
+        distance = np.empty_like(self.empty.distance)
+        points = np.array(cloud, dtype=float, order="C")  # kernels take no read-only arrays
+        span, square = np.empty((2, 3), np.int64), np.empty(distance.shape, np.float32)
+        fill_distances(points, LOWER, CELL, span, square, distance)
+        return self.empty._replace(distance=distance)
 
     def log_odds(self, cloud: np.ndarray, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Every joint's smallest clearance (b, n) [m] and log odds (b,) of straight motions (b, 2, n)."""

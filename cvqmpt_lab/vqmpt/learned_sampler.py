@@ -43,16 +43,17 @@ class CodeProposal(Proposal):
 
 
 @dataclass(frozen=True, eq=False)
-class CodeGaussians:
-    """Gaussians of codes for one robot, as a choice has them."""
+class LearnedSampler:
+    """Gaussians of predicted codes for one robot, as a choice has them, and what moves them."""
 
+    predict: CodePredictor
     choice: SamplerChoice
     name: str  # what result rows call the distribution
     codebook: Codebook
     robot: Robot
     noise: np.ndarray  # (codes, n) standard normal: where in its Gaussian each code's node lies
 
-    def of(self, codes: np.ndarray, z: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def gaussians(self, codes: np.ndarray, z: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes (c,); z: where they were moved to."""
         means, covariances = self.codebook.gaussians(self.codebook.vectors[codes] if z is None else z)
         if self.choice.gaussians == "decoded":
@@ -69,21 +70,16 @@ class CodeGaussians:
         assert isinstance(mixed, GaussianMixture)
         return mixed
 
+    def propose(self, query: Query, observation: Observation) -> CodeProposal:
+        """The sampling distribution of predicted codes: CVQ-MPT, before any update.
 
-@dataclass(frozen=True, eq=False)
-class LearnedProposal:
-    """The sampling distribution of predicted codes: CVQ-MPT, before any update."""
-
-    predict: CodePredictor
-    gaussians: CodeGaussians
-
-    def __call__(self, query: Query, observation: Observation) -> CodeProposal:
-        """Predict codes and decode them; uniform samples, and a fallback that says so, where there are none."""
+        Uniform samples, and a fallback that says so, where there are none.
+        """
         found = self.predict(query, observation)
         some = len(found.codes) > 0
-        decoded = self.gaussians.of(found.codes) if some else None
+        decoded = self.gaussians(found.codes) if some else None
         return CodeProposal(
-            self.gaussians.mixture(query, found.goals, *decoded) if decoded else query.uniform,
+            self.mixture(query, found.goals, *decoded) if decoded else query.uniform,
             Timings(encode=found.encode_seconds, predict=found.predict_seconds),
             found.detail,
             fallback="" if some else "no code sequence reached a goal",
@@ -93,49 +89,41 @@ class LearnedProposal:
             goals=found.goals,
         )
 
+    def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
+        """Algorithm 2 of the paper: the codes of a proposal moved by gradient towards the constraint, then decoded.
 
-@dataclass(frozen=True, eq=False)
-class CodesMoved:
-    """Algorithm 2 of the paper: the codes of a proposal moved by gradient towards the constraint, then decoded."""
-
-    gaussians: CodeGaussians
-    optimizer: LatentOptimizer
-
-    def __call__(self, query: Query, proposal: Proposal) -> Proposal:
-        """The mixture of the moved codes; the proposal itself where there is nothing to move or no constraint."""
+        The proposal itself where there is nothing to move or no constraint.
+        """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
             return proposal
-        vectors = self.gaussians.codebook.vectors[proposal.codes]
-        moved = self.optimizer.optimize(vectors, query.space.problem.manifold, query.rng)
+        vectors = self.codebook.vectors[proposal.codes]
+        moved = optimizer.optimize(vectors, query.space.problem.manifold, query.rng)
         before, after = moved.g_before.mean(), moved.g_after.mean()
         return replace(
             proposal,
-            distribution=self.gaussians.mixture(query, proposal.goals, *self.gaussians.of(proposal.codes, moved.z)),
+            distribution=self.mixture(query, proposal.goals, *self.gaussians(proposal.codes, moved.z)),
             timings=replace(proposal.timings, optimize=moved.seconds),
             detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
         )
 
+    def projected(self, query: Query, proposal: Proposal) -> Proposal:
+        """Every code's mean put on the manifold by Newton's method (Algorithm 1), its covariance left as it is.
 
-@dataclass(frozen=True, eq=False)
-class MeansProjected:
-    """Every code's mean put on the manifold by Newton's method (Algorithm 1), its covariance left as it is."""
-
-    gaussians: CodeGaussians
-
-    def __call__(self, query: Query, proposal: Proposal) -> Proposal:
-        """The mixture around projected means, without codes whose mean is not near the manifold."""
+        Codes whose mean is not near the manifold are left out; the proposal itself where there are none or no
+        constraint.
+        """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
             return proposal
         began = query.deadline.seconds
-        means, covariances = self.gaussians.of(proposal.codes)
+        means, covariances = self.gaussians(proposal.codes)
         near = np.zeros(len(means), dtype=bool)
         for row, mean in enumerate(means):
             q = mean.copy()
             near[row] = query.space.project(q) and np.linalg.norm(q - mean) <= DRIFT
             means[row] = q
-        mixture = self.gaussians.mixture(query, proposal.goals, means[near], covariances[near])
+        mixture = self.mixture(query, proposal.goals, means[near], covariances[near])
         return replace(
             proposal,
             distribution=mixture if near.any() else query.uniform,

@@ -44,8 +44,8 @@ class MPNet(nn.Module):
     ) -> Tensor:
         """Propose the next configuration (b, joint_dim) from current towards goal (b, joint_dim), not clipped.
 
-        code (b, code_dim): of `encode`. stochastic: dropout on, in training and, as in the published code, in planning;
-        drawn from generator, for runs that repeat.
+        code (b, code_dim): of `encode`. stochastic: with dropout, as in training; drawn from generator, for runs that
+        repeat. Planning computes the same without torch, see `mpnet_rollouts`.
         """
         x = torch.cat((code, current, goal), dim=-1)
         for i, layer in enumerate(self.hidden):

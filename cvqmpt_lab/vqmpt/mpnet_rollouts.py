@@ -8,7 +8,10 @@ A rollout whose sides do not meet, or with a pair that is not joined, is given u
 What differs from the published code as it is known: proposals to one state are bounded, not repeated for ever; there
 are ten rollouts, not ten for each of five goals that are one and the same; a pair is first tried with the direct
 motion; the tree growth is the project's own and gets a share of the budget (there 5 of 50 s); the cloud's encoding is
-paid for. `BRIDGED` joins sides that have not met by tree growth as well, and takes turns with all goals.
+paid for.
+
+Bridged, rollouts are suggestions: tree growth joins what the network does not, sides that have not met included, all
+goals take turns, sides meet along a constrained motion, and the network is told states as they are once projected.
 """
 
 import time
@@ -31,6 +34,10 @@ from cvqmpt_lab.vqmpt.weights import StoredModel
 
 PART = "mpnet"
 LINE_STATES = 100  # checked for collision on a straight joint line, as published
+ROLLOUTS = 10  # tried before giving up
+PREDICTIONS = 10  # states of one rollout
+ATTEMPTS = 32  # proposals, which dropout makes differ, tested for one state before its rollout is given up
+SHARE = 0.1  # of the whole budget, that joining two neighbouring states may take
 
 
 class MPNetNetwork:
@@ -108,33 +115,6 @@ class _Layer:
         return y if self.slope is None else np.where(y > 0.0, y, self.slope * y)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MPNetSettings:
-    """How rollouts are made; the defaults are the published method."""
-
-    rollouts: int = 10  # tried before giving up; goals take turns, the nearest first
-    predictions: int = 10  # states of one rollout
-    attempts: int = 32  # proposals tested for one state before its rollout is given up
-    dropout: bool = True  # as published; without it every attempt is the same, so there is one
-    goals: int | None = 1  # nearest goals that take turns; None for all (the published code knows one goal)
-    straight: bool = True  # sides meet along a straight line free of collision, otherwise a projected motion
-    unprojected: bool = True  # the network is told its last proposal as it was before projection
-    bridge: bool = False  # join sides that have not met by tree growth; otherwise give the rollout up
-    share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
-
-    def __post_init__(self) -> None:
-        for name in ("rollouts", "predictions", "attempts", "goals"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InvalidInputError(f"{name} of MPNet is {value}; give at least 1")
-        if not 0.0 < self.share <= 1.0:
-            raise InvalidInputError(f"share of MPNet is {self.share}; give more than 0 and at most 1")
-
-
-BRIDGED = MPNetSettings(goals=None, straight=False, unprojected=False, bridge=True)
-"""Rollouts as suggestions: tree growth joins what the network does not, to any goal."""
-
-
 class Rollout(NamedTuple):
     """What the network proposed from start to goal."""
 
@@ -147,10 +127,9 @@ class Rollout(NamedTuple):
 class MPNetRollouts:
     """A trained MPNet as a proposer of whole paths; see the module."""
 
-    def __init__(self, model: StoredModel, settings: MPNetSettings | None = None) -> None:
+    def __init__(self, model: StoredModel, bridged: bool = False) -> None:
         """Take a snapshot of the weights."""
-        self.settings = MPNetSettings() if settings is None else settings
-        self.network = MPNetNetwork(model)
+        self.network, self.bridged = MPNetNetwork(model), bridged
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
@@ -161,10 +140,10 @@ class MPNetRollouts:
         assert observation.cloud is not None
         began = query.deadline.seconds
         code = self.network.encode(self.network.draw_points(observation.cloud, query.rng))
-        run = _Run(self.network, self.settings, query, code, query.deadline.seconds - began)
-        nearest = query.nearest_goals(self.settings.goals or len(query.goals))
+        run = _Run(self.network, self.bridged, query, code, query.deadline.seconds - began)
+        nearest = query.nearest_goals(len(query.goals) if self.bridged else 1)
         path, failure = None, PlanStatus.ITERATION_LIMIT
-        for turn in range(self.settings.rollouts):
+        for turn in range(ROLLOUTS):
             path = run.attempt(query.start, nearest[turn % len(nearest)])
             spent = query.deadline.spent()
             if path is not None or spent is not None:
@@ -185,7 +164,7 @@ class _Run:
     """One call of `MPNetRollouts`: rollouts, and the paths through them."""
 
     network: MPNetNetwork
-    settings: MPNetSettings
+    bridged: bool
     query: Query
     code: np.ndarray
     encode_seconds: float
@@ -197,9 +176,9 @@ class _Run:
     @property
     def failed(self) -> str:
         """How many rollouts failed, and why."""
-        count, of = self.failures.total(), self.settings.rollouts
+        count = self.failures.total()
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.failures.items()))
-        return f"{'all ' if count == of else ''}{count} of {of} rollouts failed: {reasons}"
+        return f"{'all ' if count == ROLLOUTS else ''}{count} of {ROLLOUTS} rollouts failed: {reasons}"
 
     def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
         """The path through one rollout, or None."""
@@ -212,26 +191,26 @@ class _Run:
 
     def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | str:
         """Let both sides grow in turn until they meet; or why there is no rollout."""
-        robot, settings, space = self.query.space.robot, self.settings, self.query.space
+        robot, space = self.query.space.robot, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
         told = [_normalised(robot, start), _normalised(robot, goal)]  # the last state of each side in [-1, 1]
         met, joint = False, None
-        for turn in range(settings.predictions):
+        for turn in range(PREDICTIONS):
             side = turn % 2
             found = self._next_state(told[side], told[1 - side])
             if found is None:
                 return "without a free state"
             state, proposed = found
             sides[side].append(state)
-            told[side] = proposed if settings.unprojected else _normalised(robot, state)
+            told[side] = _normalised(robot, state) if self.bridged else proposed
             self.vertices += 1
             ends = sides[0][-1], sides[1][-1]
-            if not settings.straight or line_free(space, *ends):
+            if self.bridged or line_free(space, *ends):
                 joint = direct_motion(space, *ends)
-                met = settings.straight or joint is not None
+                met = joint is not None or not self.bridged
             if met:
                 break
-        if not (met or settings.bridge):
+        if not (met or self.bridged):
             return "whose sides did not meet"
         return Rollout(np.array(sides[0] + sides[1][::-1]), len(sides[0]) - 1, met, joint)
 
@@ -240,14 +219,13 @@ class _Run:
 
         Returns the state (n,) [rad or m] and the clipped proposal (n,); None when attempts or budget are used up.
         """
-        robot, settings = self.query.space.robot, self.settings
-        dropout = self.query.rng if settings.dropout else None
-        for _ in range(settings.attempts if settings.dropout else 1):
+        robot = self.query.space.robot
+        for _ in range(ATTEMPTS):
             if self.query.deadline.spent():
                 return None
             self.query.deadline.count()
             began = time.perf_counter()
-            proposed = self.network.propose(current, towards, self.code, dropout)
+            proposed = self.network.propose(current, towards, self.code, self.query.rng)
             clipped = np.clip(proposed, -1.0, 1.0).astype(float)
             q = _radians(robot, clipped)
             self.predict_seconds += time.perf_counter() - began
@@ -275,7 +253,7 @@ class _Run:
         """A path from a to b (n,) by tree growth within its share of the budget."""
         if self.query.deadline.spent():
             return None
-        part = self.query.deadline.rest(self.settings.share)
+        part = self.query.deadline.rest(SHARE)
         result = BiRRT().search(self.query.space, a, b[None], self.query.uniform, part, self.query.rng)
         self.vertices += result.vertices
         return result.path

@@ -2,13 +2,13 @@
 
 import hashlib
 import time
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, require_torch
+from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search
 from cvqmpt_lab.vqmpt.codebook import ModelConfigurations
@@ -27,7 +27,7 @@ class Prediction:
     sequences: tuple[CodeSequence, ...]  # to each goal, finished or not
     codes: np.ndarray  # (c,) int64, those of the finished sequences, goal after goal
     encode_seconds: float  # from the cloud to tokens
-    predict_seconds: float  # from tokens to Gaussians
+    predict_seconds: float  # from tokens to codes
 
     @property
     def unfinished(self) -> tuple[int, ...]:
@@ -52,7 +52,7 @@ class Predictor:
         assert checkpoint.sequence_model is not None
         self._dictionary, self._network = checkpoint.dictionary, checkpoint.sequence_model
         self._length = model.config.stage2[1].max_length
-        self._scenes: OrderedDict[str, Any] = OrderedDict()
+        self._scenes = Latest[Any](SCENES)
 
     def encode_scene(self, cloud: np.ndarray, use_cache: bool = True) -> Any:
         """Scene tokens of a cloud (m, 3) [m, robot base frame], found among the latest ones where they are.
@@ -61,13 +61,7 @@ class Predictor:
         """
         points = checked_cloud(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
-        if use_cache and key in self._scenes:
-            self._scenes.move_to_end(key)
-        else:
-            self._scenes[key] = self._network.encode_cloud(points)
-            if len(self._scenes) > SCENES:
-                self._scenes.popitem(last=False)
-        return self._scenes[key]
+        return self._scenes.get(key, lambda: self._network.encode_cloud(points), use_cache)
 
     def predict(self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, use_cache: bool = True) -> Prediction:
         """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
@@ -81,7 +75,7 @@ class Predictor:
         ends = self._configurations.normalised(np.vstack((start[None], goals))).astype(np.float32)
         starts, ends = ends[:1].repeat(len(goals), axis=0), ends[1:]
         decoder = self._network.decoder(self._dictionary, scene, starts, ends)
-        sequences = beam_search(decoder, max_length=self._length, published=True)
+        sequences = beam_search(decoder, max_length=self._length)
         each = [found.codes for found in sequences if found.finished]
         return Prediction(
             goals=goals,

@@ -1,20 +1,23 @@
-"""From a query to a mixture: the dictionary as a roadmap with edge costs, and the cheapest code sequences on it.
+"""From a query to sequences of codes: the dictionary as a roadmap with edge costs, and the cheapest sequences on it.
 
-Costs of edges are length + w * -log P(free | cloud). Paper: sequences of codes {d_1, d_2, ..} of the dictionary, whose
-decoded Gaussians N(mu_k, Sigma_k) with equal weights are the sampling distribution (eqn. sample_dist).
+Costs of edges are length + w * -log P(free | cloud). `learned_sampler` makes a sampling distribution of the codes.
 """
 
-from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.latest import Latest
+from cvqmpt_lab.search.roadmap import Roadmap, nearest_rows
 from cvqmpt_lab.vqmpt.clearances import cell_clearances, edge_clearances, sphere_cells
 from cvqmpt_lab.vqmpt.code_arcs import QUEUE, arcs_of, cheapest_ways
 from cvqmpt_lab.vqmpt.edge_model import CLOUDS, SPACING, EdgeModel
+
+SEQUENCES = 4  # that are found, at most
+ENTRIES = 40  # codes that the start leads to, the nearest ones
+EXITS = 20  # codes that lead to each goal, the nearest ones
+COLLISION_WEIGHT = 4.0  # what -log P(free) adds to the cost of a motion [rad]
 
 
 class Links(NamedTuple):
@@ -56,7 +59,7 @@ class CodeRoadmap:
         bare: the same roadmap for the same robot with an empty hand, whose spheres are placed already.
         """
         self.roadmap, self.model = roadmap, model
-        self._costs: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        self._costs = Latest[np.ndarray](CLOUDS)
         self.clearances_read = 0  # of so many states until now
         if bare is None:
             self.links = links_of(roadmap)
@@ -89,15 +92,11 @@ class CodeRoadmap:
 
     def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
         """-log P(free) (E,) of all edges, in a cloud (m, 3) [m, robot base frame]."""
-        key = cloud.tobytes()
-        if not use_cache or key not in self._costs:
-            self.clearances_read += len(self._states)
-            odds = self.model.empty.curve.log_odds(self.clearances(cloud, use_cache))
-            self._costs[key] = np.logaddexp(0.0, -odds)
-            if len(self._costs) > CLOUDS:
-                self._costs.popitem(last=False)
-        self._costs.move_to_end(key)
-        return self._costs[key]
+        return self._costs.get(cloud.tobytes(), lambda: self._edge_costs(cloud, use_cache), use_cache)
+
+    def _edge_costs(self, cloud: np.ndarray, use_cache: bool) -> np.ndarray:
+        self.clearances_read += len(self._states)
+        return np.logaddexp(0.0, -self.model.empty.curve.log_odds(self.clearances(cloud, use_cache)))
 
     def link_costs(self, cloud: np.ndarray, ends: np.ndarray, near: np.ndarray) -> np.ndarray:
         """-log P(free) (e, k) of the motions between ends (e, n) and the nodes near (e, k) to each."""
@@ -108,41 +107,17 @@ class CodeRoadmap:
         return np.logaddexp(0.0, -self.model.log_odds(cloud, motions)[1]).reshape(near.shape)
 
 
-def nearest_rows(nodes: np.ndarray, ends: np.ndarray, count: int) -> np.ndarray:
-    """Rows (e, count) int32 of the nodes (N, n) nearest to each of ends (e, n), in no order."""
-    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
-    return np.argpartition(squares, count, axis=1)[:, :count].astype(np.int32)
-
-
-@dataclass(frozen=True)
-class SequenceSettings:
-    """How sequences are searched."""
-
-    sequences: int = 4  # at most
-    entries: int = 40  # codes that the start leads to, the nearest ones
-    exits: int = 20  # codes that lead to each goal, the nearest ones
-    collision_weight: float = 4.0  # what -log P(free) adds to the cost of a motion [rad]
-
-
 class CodeSequences:
     """A start and goals, linked to the dictionary's roadmap."""
 
-    def __init__(
-        self,
-        roadmap: CodeRoadmap,
-        cloud: np.ndarray,
-        start: np.ndarray,
-        goals: np.ndarray,
-        settings: SequenceSettings | None = None,
-    ) -> None:
+    def __init__(self, roadmap: CodeRoadmap, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> None:
         """Start (n,), goals (k, n) [rad or m], in a cloud (m, 3) [m, robot base frame]."""
-        self._settings = settings or SequenceSettings()
-        nodes, self._roadmap, weight = roadmap.roadmap.nodes, roadmap, self._settings.collision_weight
-        self._arc_cost = (roadmap.length + weight * roadmap.edge_costs(cloud))[roadmap.links.edge]
+        nodes, self._roadmap = roadmap.roadmap.nodes, roadmap
+        self._arc_cost = (roadmap.length + COLLISION_WEIGHT * roadmap.edge_costs(cloud))[roadmap.links.edge]
         self._heap = np.empty(QUEUE * len(nodes)), np.empty(QUEUE * len(nodes), dtype=np.int32)
         self._links = [
             (ends, (near := nearest_rows(nodes, ends, count)), roadmap.link_costs(cloud, ends, near))
-            for ends, count in ((start[None], self._settings.entries), (goals, self._settings.exits))
+            for ends, count in ((start[None], ENTRIES), (goals, EXITS))
         ]
 
     def cheapest(self) -> list[list[int]]:
@@ -150,7 +125,7 @@ class CodeSequences:
         (there, before), (back, after) = (self._ways(*link) for link in self._links)
         through = there + back
         found: list[list[int]] = []
-        while len(found) < self._settings.sequences and through.min() < np.inf:
+        while len(found) < SEQUENCES and through.min() < np.inf:
             code = int(through.argmin())
             codes = [*_along(before, code)][::-1] + [*_along(after, code)][1:]
             through[code] = np.inf
@@ -164,7 +139,7 @@ class CodeSequences:
         nodes, links = self._roadmap.roadmap.nodes, self._roadmap.links
         cost, parent = np.full((1, len(nodes)), np.inf), np.empty((1, len(nodes)), dtype=np.int32)
         length = np.linalg.norm(nodes[near] - ends[:, None], axis=2)
-        np.minimum.at(cost[0], near, length + self._settings.collision_weight * nll)
+        np.minimum.at(cost[0], near, length + COLLISION_WEIGHT * nll)
         cheapest_ways(links.first, links.neighbour, self._arc_cost, cost, parent, *self._heap)
         return cost[0], parent[0]
 

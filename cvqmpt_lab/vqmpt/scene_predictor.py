@@ -6,11 +6,11 @@ sequences = predictor.sequences(scene, start, nearest)
 """
 
 import hashlib
-from collections import OrderedDict
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence
@@ -38,7 +38,7 @@ class SceneTransformerPredictor:
         self.robot, self._network = robot, CausalTransformer(model, robot)
         self._looker = self._network.looker
         require_own_dictionary(model)
-        self._scenes: OrderedDict[str, EncodedScene] = OrderedDict()
+        self._scenes = Latest[EncodedScene](SCENES)
 
     def encode(self, cloud: np.ndarray, use_cache: bool = True) -> EncodedScene:
         """Look at a cloud (m, 3) [m, robot base frame] from every code; found among the latest ones where it is.
@@ -48,14 +48,11 @@ class SceneTransformerPredictor:
         """
         points = _near_points(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
-        if not use_cache or key not in self._scenes:
-            sizes = self._looker.config.sizes
-            groups = compiled_groups(_as_in_training(points), sizes.groups, sizes.group_size)
-            self._scenes[key] = self._looker.encode(*groups)
-            if len(self._scenes) > SCENES:
-                self._scenes.popitem(last=False)
-        self._scenes.move_to_end(key)
-        return self._scenes[key]
+        return self._scenes.get(key, lambda: self._encoded(points), use_cache)
+
+    def _encoded(self, points: np.ndarray) -> EncodedScene:
+        sizes = self._looker.config.sizes
+        return self._looker.encode(*compiled_groups(_as_in_training(points), sizes.groups, sizes.group_size))
 
     def sequences(
         self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3

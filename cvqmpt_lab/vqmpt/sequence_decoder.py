@@ -28,7 +28,7 @@ class CausalTransformer:
         self.blocks = [Block(layers, f"blocks.{k}", d, sizes.heads, 4 * d) for k in range(sizes.layers)]
         self._norm, self._out = layers.norm("norm", d), layers.linear("out", d, d)
         self._gate, self._goal_key = layers.linear("gate", d, 1), layers.linear("goal_key", d, d)
-        self.goal_bias, self.way = float(layers.array("goal_bias", 1)[0]), float(layers.array("way"))
+        self.goal_bias = float(layers.array("goal_bias", 1)[0])
 
     def goal_keys(self, goals: Ends) -> np.ndarray:
         """What pointers to each goal are compared with (k, d)."""
@@ -128,10 +128,11 @@ def _log_softmax(logits: np.ndarray) -> np.ndarray:
 def likeliest_sequences(
     decoder: SequenceDecoder, beams: int, every: bool = False, longest: int = LONGEST
 ) -> list[list[CodeSequence]]:
-    """The hypotheses to each goal, likeliest first, by a beam search over the ways; as of `beam_search.beam_search`.
+    """The hypotheses to each goal, likeliest first, by a beam search over the ways; scores are log probabilities.
 
-    A goal's rows are left out of the batch once its best hypothesis is finished, or every one. longest: codes of a
-    sequence.
+    A hypothesis that has reached the goal stays in the beam as it is. Since going on only lowers the others, a goal's
+    rows are left out of the batch once its best hypothesis is finished, or every one. longest: codes of a sequence; at
+    that length finished hypotheses come first.
     """
     ways, log_p = decoder.start()
     goals, links = ways.shape
@@ -178,7 +179,7 @@ def likeliest_sequences(
 def _sequences(codes: np.ndarray, score: np.ndarray, goal_class: int) -> list[CodeSequence]:
     """Hypotheses (beams, t), each up to its goal."""
     return [
-        CodeSequence(tuple(code for code in row if code != goal_class), goal_class in row, p, p)
+        CodeSequence(tuple(code for code in row if code != goal_class), goal_class in row, p)
         for row, p in zip(codes.tolist(), score.tolist(), strict=True)
     ]
 

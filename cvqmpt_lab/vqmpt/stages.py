@@ -4,7 +4,7 @@ Weights, dictionaries and roadmaps are loaded once a process, before any clock s
 `weights.resolve_model` takes it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache, partial
 
 import numpy as np
@@ -18,23 +18,17 @@ from cvqmpt_lab.search.roadmap_nodes import linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.code_predictors import (
-    GraphCodes,
-    OracleCodes,
-    PublishedCodes,
-    RandomCodes,
-    TransformerCodes,
+    graph_codes,
+    oracle_codes,
+    published_codes,
+    random_codes,
+    transformer_codes,
 )
 from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
-from cvqmpt_lab.vqmpt.learned_sampler import (
-    CodeGaussians,
-    CodePredictor,
-    CodesMoved,
-    LearnedProposal,
-    MeansProjected,
-)
-from cvqmpt_lab.vqmpt.mpnet_rollouts import BRIDGED, MPNetRollouts, MPNetSettings
+from cvqmpt_lab.vqmpt.learned_sampler import CodePredictor, LearnedSampler
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.sampler import CodeRoadmap
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
@@ -87,7 +81,7 @@ def free_dictionary(model: str, robot: Robot, attachments: tuple[Attachment, ...
 @lru_cache(maxsize=8)
 def code_roadmap(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> CodeRoadmap:
     """The dictionary's roadmap with edge costs."""
-    bare = code_roadmap(model, robot) if attachments else None
+    bare = code_roadmap(model, robot, ()) if attachments else None
     return CodeRoadmap(dictionary_roadmap(model, robot), edge_model(robot, attachments), bare)
 
 
@@ -117,53 +111,31 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     InvalidInputError for weights that lack what its predictor needs.
     """
     codebook = codebook_of(model, robot)
-    noise = code_noise(len(codebook.vectors), robot.dof)
-    gaussians = CodeGaussians(choice, name, codebook, robot, noise)
-    updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
-        "none": None,
-        "algorithm-2": CodesMoved(gaussians, LatentOptimizer(codebook, LatentSettings(steps=STEPS))),
-        "projected": MeansProjected(gaussians),
-    }
-    predict, observe = PREDICTORS[choice.predictor](robot, model)
-    if choice.sequences == "all-beams":
-        predict = TransformerCodes(_scene_predictor(model, robot), all_beams=True)
+    predict: CodePredictor
+    observe: Callable[[Scene], np.ndarray] | None = None
+    match choice.predictor:
+        case "transformer":
+            all_beams = choice.sequences == "all-beams"
+            predict, observe = partial(transformer_codes, _scene_predictor(model, robot), all_beams), observer()
+        case "published":
+            predict, observe = partial(published_codes, _predictor(model, robot)), observer()
+        case "graph":
+            code_roadmap(model, robot, ())  # made before the clock starts
+            predict, observe = partial(graph_codes, partial(code_roadmap, model)), observer(POINTS)
+        case "random":
+            predict = partial(random_codes, len(codebook.vectors))
+        case _:  # oracle
+            predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
     if observe is not None:
         observe = CLOUDS.get(choice.cloud, observe)
-    return Stages(predict=LearnedProposal(predict, gaussians), observe=observe, update=updates[choice.update])
-
-
-Predicts = tuple[CodePredictor, Callable[[Scene], np.ndarray] | None]  # codes, and what it looks at
-
-
-def _transformer(robot: Robot, model: str) -> Predicts:
-    return TransformerCodes(_scene_predictor(model, robot)), observer()
-
-
-def _published(robot: Robot, model: str) -> Predicts:
-    return PublishedCodes(_predictor(model, robot)), observer()
-
-
-def _graph(robot: Robot, model: str) -> Predicts:
-    code_roadmap(model, robot)  # made before the clock starts
-    roadmap = lambda query: code_roadmap(model, query.space.robot, query.space.problem.attachments)  # noqa: E731
-    return GraphCodes(roadmap), observer(POINTS)
-
-
-def _random(robot: Robot, model: str) -> Predicts:
-    return RandomCodes(len(codebook_of(model, robot).vectors)), None
-
-
-def _oracle(robot: Robot, model: str) -> Predicts:
-    return OracleCodes(partial(codes_of, model_of(model), robot)), None
-
-
-PREDICTORS: Mapping[str, Callable[[Robot, str], Predicts]] = {
-    "transformer": _transformer,
-    "published": _published,
-    "graph": _graph,
-    "random": _random,
-    "oracle": _oracle,
-}
+    noise = code_noise(len(codebook.vectors), robot.dof)
+    sampler = LearnedSampler(predict, choice, name, codebook, robot, noise)
+    updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
+        "none": None,
+        "algorithm-2": partial(sampler.moved, LatentOptimizer(codebook, LatentSettings(steps=STEPS))),
+        "projected": sampler.projected,
+    }
+    return Stages(predict=sampler.propose, observe=observe, update=updates[choice.update])
 
 
 @lru_cache(maxsize=4)
@@ -178,11 +150,10 @@ def _predictor(model: str, robot: Robot) -> Predictor:
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
     """MPNet's rollouts as published; bridged: whatever rollouts leave open is joined by tree growth."""
-    settings = BRIDGED if bridged else MPNetSettings()
     points = model_of(model, MPNET).config.n_points
-    return Stages(predict=_rollouts(model, settings), observe=observer(points))
+    return Stages(predict=_rollouts(model, bridged), observe=observer(points))
 
 
 @lru_cache(maxsize=4)
-def _rollouts(model: str, settings: MPNetSettings) -> MPNetRollouts:
-    return MPNetRollouts(model_of(model, MPNET), settings)
+def _rollouts(model: str, bridged: bool) -> MPNetRollouts:
+    return MPNetRollouts(model_of(model, MPNET), bridged)

@@ -30,10 +30,6 @@ CONFIG_FILE = "config.json"
 TRAINED_FOLDER = "model"  # where in its folder a training leaves its best weights
 VQ_MPT, MPNET = "vq-mpt", "mpnet"  # architectures
 CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
-LATER_FIELDS: dict[str, dict[str, Any]] = {
-    VQ_MPT: {"transformer": None},
-    MPNET: {},
-}  # that earlier files lack
 PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer"), MPNET: ("mpnet",)}
 """Files of each architecture. The first is always there; of VQ-MPT's others those that were trained."""
 TRANSFORMER = "transformer"
@@ -248,7 +244,7 @@ def read_model(
     of, listed = description["architecture"], description["sha256"]
     if of not in CONFIGS:
         raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, CONFIGS)
-    config = from_plain(CONFIGS[of], {**LATER_FIELDS[of], **description["model"]}, "model", complete=True)
+    config = from_plain(CONFIGS[of], description["model"], "model", complete=True)
     first, *others = PARTS[of]
     names = [first, *(name for name in others if name in listed and name != left_out)]
     parts = {name: _read_part(folder, listed, name) for name in names}

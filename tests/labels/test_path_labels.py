@@ -1,5 +1,4 @@
 import csv
-import json
 import shutil
 from dataclasses import replace
 
@@ -88,8 +87,9 @@ def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path, cut):
 def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
     with locked(tiny), pytest.raises(InvalidInputError, match="in use by another run"):
         make(tiny)
-    with pytest.raises(InvalidInputError, match="another recipe"):
-        make(tiny, PathRecipe(6, 3, TINY.families, labels=TINY.labels))
+    for change in ({"paths_per_scene": 3}, {"robot": {"name": "ur5"}}):
+        with pytest.raises(InvalidInputError, match="another recipe"):
+            make(tiny, replace(TINY, **change))
 
 
 def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):
@@ -101,17 +101,6 @@ def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(sli
     np.testing.assert_allclose(found[:, :-1], translations[:, 2:], atol=1e-5)
     np.testing.assert_allclose(found[:, -1], [slider_arm.pose(x)[:3, 3] for x in q], atol=1e-5)
     assert chain.sliders == (0,)
-
-
-def test_a_dataset_from_before_robots_had_a_name_in_it_goes_on(tiny, tmp_path):
-    shutil.copytree(tiny, tmp_path / "old")
-    path = tmp_path / "old" / "dataset.json"
-    description = json.loads(path.read_text())
-    assert description["recipe"].pop("robot") == {"name": "panda"}
-    path.write_text(json.dumps(description))
-    make(tmp_path / "old")
-    with pytest.raises(InvalidInputError, match="another recipe"):
-        make(tmp_path / "old", replace(TINY, robot={"name": "ur5"}))
 
 
 @pytest.mark.parametrize(

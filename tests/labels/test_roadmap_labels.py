@@ -108,24 +108,23 @@ def rewritten(folder, number, change):
     write_shard(folder, rows[number], content, rows.values())
 
 
-def test_shards_of_before_motions_were_labelled_are_read(tiny, tmp_path):
-    folder = tmp_path / "old"
+def test_motions_of_all_shards_are_read(tiny):
+    labels = open_roadmap_dataset(tiny)
+    assert len(labels.link_start) == len(labels.scenes) + 1 == 5
+    assert (np.diff(labels.link_start)[labels.path_scene] > 0).all()
+    assert len(labels.link_end) == labels.link_start[-1] > 4
+    assert labels.link_free.shape == labels.link_code.shape == (len(labels.link_end), LINKS)
+
+
+@pytest.mark.parametrize("read", [open_dataset, open_roadmap_dataset])
+def test_a_shard_that_is_not_as_it_was_written_is_refused(tiny, tmp_path, read):
+    folder = tmp_path / "bad"
     shutil.copytree(tiny, folder)
-    now = open_roadmap_dataset(folder)
-    assert now.has_links and len(now.link_end) == now.link_start[-1] > 4
-    assert now.link_free.shape == now.link_code.shape == (len(now.link_end), LINKS)
-
-    def without(arrays):
-        for name in ("link_start", "link_end", "link_code", "link_free"):
-            del arrays[name]
-
-    rewritten(folder, 0, without)
-    mixed = open_roadmap_dataset(folder)
-    assert not mixed.has_links
-    assert mixed.link_start.tolist() == [0, 0, *(now.link_start[2:] - now.link_start[2])]
-    np.testing.assert_array_equal(mixed.codes, now.codes)
-    rewritten(folder, 1, without)
-    assert open_roadmap_dataset(folder).link_free.shape == (0, LINKS)
+    path = folder / "shards/000001.npz"
+    arrays = dict(np.load(path))
+    np.savez_compressed(path, **arrays | {"cost": arrays["cost"] + 1.0})
+    with pytest.raises(InvalidInputError, match=r"000001\.npz is damaged \(sha256\)"):
+        read(folder)
 
 
 def cut(arrays):
@@ -136,16 +135,18 @@ def beyond(arrays):
     arrays["link_code"] = arrays["link_code"] + np.uint16(1024)
 
 
-def alone(arrays):
-    del arrays["link_end"]
+def without(arrays):
+    del arrays["link_start"], arrays["link_end"], arrays["link_code"], arrays["link_free"]
 
 
-@pytest.mark.parametrize("damage", [cut, beyond, alone])
-def test_labels_of_motions_that_contradict_the_roadmap_are_refused(tiny, tmp_path, damage):
+@pytest.mark.parametrize(
+    ("damage", "message"), [(cut, "does not fit"), (beyond, "does not fit"), (without, "array 'link_start' is missing")]
+)
+def test_labels_of_motions_that_are_missing_or_contradict_the_roadmap_are_refused(tiny, tmp_path, damage, message):
     folder = tmp_path / "bad"
     shutil.copytree(tiny, folder)
     rewritten(folder, 0, damage)
-    with pytest.raises(InvalidInputError, match=r"000000\.npz does not fit"):
+    with pytest.raises(InvalidInputError, match=rf"000000\.npz:? {message}"):
         open_roadmap_dataset(folder)
 
 

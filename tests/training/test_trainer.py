@@ -301,7 +301,7 @@ def test_the_command_line(tmp_path, capsys, data):
         "no dataset in": [*common[:4], "--data", str(tmp_path), "--out", out],
         "unknown device 'tpu'": [*common[:6], "--device", "tpu", "--out", out],
         "unknown profile 'big'": ["train", "stage1", "--profile", "big"],
-        "train sequences was removed": ["train", "sequences"],
+        "unknown stage 'sequences'": ["train", "sequences", *common[2:6], "--out", out],
         "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
     }.items():
         assert main(words) == 2

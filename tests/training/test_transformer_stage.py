@@ -51,18 +51,6 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
         assert 0.0 <= stage.measured(stage._held_out)["link_area_under_curve"] <= 1.0
 
 
-def test_labels_without_motions_train_as_before(labels):
-    stage = stage_of(labels, "smoke")
-    with_motions, dataset = batch_of(stage), stage.dataset
-    none = {name: getattr(dataset, name)[:0] for name in ("link_end", "link_code", "link_free")}
-    stage.dataset = replace(dataset, link_start=0 * dataset.link_start, **none)
-    batch = batch_of(stage)
-    losses = stage.losses(batch)
-    assert set(losses) == {"loss", "code", "node", "edge"}
-    for name in ("codes", "starts", "centres", "node_free"):  # labels of motions change nothing else
-        assert torch.equal(batch[name], with_motions[name]), name
-
-
 def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
     stage = stage_of(labels, "compact", fine_tune=True)
     shipped = load_checkpoint(resolve_model(None, VQ_MPT)).transformer

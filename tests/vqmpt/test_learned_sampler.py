@@ -1,5 +1,7 @@
 """Products of predictor, Gaussians and update: their words, their mixtures, what updates do to them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.search.query import Observation, Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.learned_sampler import GOAL_STD, CodeProposal, LearnedProposal, PredictedCodes
+from cvqmpt_lab.vqmpt.learned_sampler import GOAL_STD, CodeProposal, PredictedCodes
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.vqmpt.stages import codebook_of, dictionary_roadmap
 from experiments.suites.place_task import place_problem
@@ -115,6 +117,7 @@ def test_updates_move_codes_towards_the_constraint(problem, proposed):
 def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, query):
     stages = planner_named("cvq:graph+algorithm-2").stages(problem)
     none = PredictedCodes(np.empty(0, dtype=np.int64), query.goals[:0], "nothing")
-    proposal = LearnedProposal(lambda query, observation: none, stages.predict.gaussians)(query, Observation())
+    sampler = replace(stages.predict.__self__, predict=lambda query, observation: none)
+    proposal = sampler.propose(query, Observation())
     assert isinstance(proposal, CodeProposal) and isinstance(proposal.distribution, Uniform)
     assert proposal.fallback == "no code sequence reached a goal" and stages.update(query, proposal) is proposal

@@ -21,21 +21,13 @@ from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.mpnet_rollouts import (
-    BRIDGED,
-    LINE_STATES,
-    MPNetNetwork,
-    MPNetRollouts,
-    MPNetSettings,
-    line_free,
-)
+from cvqmpt_lab.vqmpt.mpnet_rollouts import LINE_STATES, MPNetNetwork, MPNetRollouts, line_free
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)
 ENOUGH = Budget(iterations=20_000)
 COPIES = 10
-PUBLISHED = MPNetSettings()
 
 
 @pytest.fixture(scope="module")
@@ -88,10 +80,10 @@ def cloud_of(scene):
     return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
 
 
-def mpnet_of(robot, network=None, observe=cloud_of, settings=PUBLISHED):
+def mpnet_of(robot, network=None, observe=cloud_of, bridged=False):
     """A method whose rollouts are those of a network."""
     checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
-    rollouts = MPNetRollouts(stored(checkpoint), settings)
+    rollouts = MPNetRollouts(stored(checkpoint), bridged)
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
@@ -143,7 +135,7 @@ def test_points_are_drawn_without_replacement_while_they_last():
 
 @pytest.mark.parametrize("make", [heading_network, random_network])
 def test_bridged_rollouts_solve_a_place_problem(tuning, make):
-    method = mpnet_of(tuning.robot, make(), settings=BRIDGED)
+    method = mpnet_of(tuning.robot, make(), bridged=True)
     solution = solve(tuning, method, ENOUGH, seed=0)
     assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
     np.testing.assert_array_equal(solution.plan.path.states[0], tuning.start)
@@ -160,9 +152,9 @@ def test_published_rollouts_end_at_the_nearest_goal(tuning):
 
 
 @pytest.mark.parametrize("limit", [1, 7, 60])
-@pytest.mark.parametrize("settings", [PUBLISHED, BRIDGED])
-def test_iterations_stay_within_the_budget(tuning, settings, limit):
-    result = plan(tuning, mpnet_of(tuning.robot, settings=settings), Budget(iterations=limit))
+@pytest.mark.parametrize("bridged", [False, True])
+def test_iterations_stay_within_the_budget(tuning, bridged, limit):
+    result = plan(tuning, mpnet_of(tuning.robot, bridged=bridged), Budget(iterations=limit))
     assert result.counters.iterations <= limit
     assert result.path is not None or result.status is PlanStatus.ITERATION_LIMIT
 
@@ -174,9 +166,10 @@ def test_a_budget_that_ends_between_rollouts_is_named(tuning):
     assert (result.counters.iterations, result.detail) == (40, expected)
 
 
-def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
-    settings = MPNetSettings(rollouts=3, attempts=6)
-    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), settings=settings))
+def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning, monkeypatch):
+    monkeypatch.setattr(mpnet_rollouts, "ROLLOUTS", 3)
+    monkeypatch.setattr(mpnet_rollouts, "ATTEMPTS", 6)
+    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning)))
     assert result.status is PlanStatus.ITERATION_LIMIT
     assert result.detail == "all 3 of 3 rollouts failed: 3 without a free state"
     assert result.counters.iterations == 3 * 6
@@ -202,13 +195,14 @@ def asked(monkeypatch):
     return RecordedBiRRT.asked
 
 
-def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, asked):
-    few = {"predictions": 1, "rollouts": 1, "share": 1.0}
+def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, asked, monkeypatch):
+    for name, value in {"PREDICTIONS": 1, "ROLLOUTS": 1, "SHARE": 1.0}.items():
+        monkeypatch.setattr(mpnet_rollouts, name, value)
     short = heading_network(share=0.1)
-    published = plan(tuning, mpnet_of(tuning.robot, short, settings=replace(PUBLISHED, **few)))
+    published = plan(tuning, mpnet_of(tuning.robot, short))
     assert published.path is None and asked == []
     assert published.detail == "all 1 of 1 rollouts failed: 1 whose sides did not meet"
-    bridged = plan(tuning, mpnet_of(tuning.robot, short, settings=replace(BRIDGED, **few)))
+    bridged = plan(tuning, mpnet_of(tuning.robot, short, bridged=True))
     assert bridged.path is not None and len(asked) >= 1 and "a bridge" in bridged.detail
 
 
@@ -260,6 +254,3 @@ def test_a_straight_line_is_checked_for_collision_alone(tuning):
 def test_bad_input_is_named(tuning):
     with pytest.raises(InvalidInputError, match="0 points"):
         plan(tuning, mpnet_of(tuning.robot, random_network(), lambda scene: np.empty((0, 3))))
-    for name, value in (("rollouts", 0), ("attempts", 0), ("goals", 0), ("share", 0.0), ("share", 1.5)):
-        with pytest.raises(InvalidInputError, match=name):
-            MPNetSettings(**{name: value})

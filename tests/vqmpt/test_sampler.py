@@ -9,12 +9,11 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.search.query import Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.sampler import CodeSequences, SequenceSettings
+from cvqmpt_lab.vqmpt.sampler import COLLISION_WEIGHT, ENTRIES, EXITS, SEQUENCES, CodeSequences
 from cvqmpt_lab.vqmpt.stages import POINTS, code_roadmap, edge_model, observer
 from experiments.suites.place_task import carried_can, place_problem
 
 WEIGHTS = "vq_mpt"
-SETTINGS = SequenceSettings()
 
 
 @pytest.fixture(scope="module")
@@ -56,13 +55,13 @@ def test_sequences_are_the_cheapest_through_some_code_that_none_before_has(seen,
     for end, near in ((count, query.start[None]), (count + 1, query.goals)):
         for q in near:
             gaps = np.linalg.norm(nodes - q, axis=1)
-            closest = np.argsort(gaps)[: SETTINGS.entries if end == count else SETTINGS.exits]
+            closest = np.argsort(gaps)[: ENTRIES if end == count else EXITS]
             motions = np.stack([np.broadcast_to(q, nodes[closest].shape), nodes[closest]], axis=1)
             doubt = np.logaddexp(0.0, -seen.model.log_odds(cloud, motions)[1])
-            for code, cost in zip(closest, gaps[closest] + SETTINGS.collision_weight * doubt, strict=True):
+            for code, cost in zip(closest, gaps[closest] + COLLISION_WEIGHT * doubt, strict=True):
                 costs[code, end] = min(cost, costs.get((code, end), np.inf))
     lengths = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
-    price = [*(lengths + SETTINGS.collision_weight * seen.edge_costs(cloud)), *costs.values()]
+    price = [*(lengths + COLLISION_WEIGHT * seen.edge_costs(cloud)), *costs.values()]
     rows, columns = np.concatenate([edges, np.array(list(costs))]).T
     matrix = csr_array((price, (rows, columns)), shape=(count + 2, count + 2))
     cost = dijkstra(matrix, directed=False, indices=[count, count + 1])
@@ -72,7 +71,7 @@ def test_sequences_are_the_cheapest_through_some_code_that_none_before_has(seen,
         both = matrix + matrix.T
         return sum(both[a, b] for a, b in zip([count, *codes], [*codes, count + 1], strict=True))
 
-    assert len(found) == SETTINGS.sequences
+    assert len(found) == SEQUENCES
     assert total(found[0]) == pytest.approx(through.min())
     for k, codes in enumerate(found):
         new = set(codes) - set().union(*found[:k])

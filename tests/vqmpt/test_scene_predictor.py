@@ -12,7 +12,6 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import serial_chain
 from cvqmpt_lab.labels.roadmap_labels import body_points
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
@@ -135,38 +134,42 @@ def test_ways_after_every_prefix_are_as_likely_as_by_torch(checkpoint, predictor
         np.testing.assert_allclose(found, expected[:, step], atol=1e-4)
 
 
-class FullClasses:
-    """A decoder as `beam_search` asks for one: every class, impossible ones at -1e9."""
+GOAL = 64  # the class behind the codes
 
-    def __init__(self, decoder, codes):
-        self.decoder, self.codes = decoder, codes
 
-    def start(self):
-        return self.of(*self.decoder.start())
+def likeliest_by_hand(decoder, beams):
+    """Codes and score of the best hypothesis to a decoder's one goal, a finished one at the length limit.
 
-    def advance(self, parents, codes):
-        return self.of(*self.decoder.advance(parents, codes))
-
-    def of(self, ways, log_p):
-        logits = np.full((len(ways), self.codes + 2), -1e9, dtype=np.float32)
-        for row, classes, values in zip(logits, ways, log_p, strict=True):
-            known = np.isfinite(values)
-            row[np.where(classes == self.codes, self.codes + 1, classes)[known]] = values[known]
-        return logits
+    The best of all continuations are kept, finished ones included, until one of those ranks first.
+    """
+    (ways,), (log_p,) = decoder.start()
+    grown = [(0, (way,), p) for way, p in zip(ways.tolist(), log_p.tolist(), strict=True)]
+    best = sorted(grown, key=lambda one: -one[2])[:beams]
+    for _ in range(LONGEST):
+        rows, latest = np.array([(row, codes[-1] % GOAL) for row, codes, _ in best]).T
+        grown = []
+        for row, (ways, log_p, one) in enumerate(zip(*decoder.advance(rows, latest), best, strict=True)):
+            _, codes, score = one
+            further = zip(ways.tolist(), log_p.tolist(), strict=True)
+            going = [(row, (*codes, way), score + p) for way, p in further]
+            grown += [(row, codes, score)] if codes[-1] == GOAL else going
+        best = sorted(grown, key=lambda one: -one[2])[:beams]
+        if best[0][1][-1] == GOAL:
+            break
+    return next((one for one in best if one[1][-1] == GOAL), best[0])[1:]
 
 
 @pytest.mark.parametrize("beams", [1, 3, 6])
-def test_sequences_are_those_of_the_beam_search_over_all_classes(predictor, queries, beams):
-    scene = predictor.encode(CLOUD)
-    found = predictor.sequences(scene, *queries, beams)
-    decoder = FullClasses(SequenceDecoder(predictor._network, scene, *queries), 64)
-    expected = beam_search(decoder, beams=beams, max_length=LONGEST + 1)
-    assert [one.codes for one in found] == [one.codes for one in expected]
-    assert [one.finished for one in found] == [one.finished for one in expected]
-    np.testing.assert_allclose([o.score for o in found], [o.score for o in expected], atol=1e-4)
-    alone = [predictor.sequences(scene, queries[0], goal[None], beams)[0].codes for goal in queries[1]]
+def test_sequences_are_those_of_a_beam_search_by_hand(predictor, queries, beams):
+    scene, (start, goals) = predictor.encode(CLOUD), queries
+    found = predictor.sequences(scene, start, goals, beams)
+    decoders = [SequenceDecoder(predictor._network, scene, start, goal[None]) for goal in goals]
+    codes, scores = zip(*(likeliest_by_hand(decoder, beams) for decoder in decoders), strict=True)
+    assert [one.codes + (GOAL,) * one.finished for one in found] == list(codes)
+    np.testing.assert_allclose([one.score for one in found], scores, atol=1e-4)
+    alone = [predictor.sequences(scene, start, goal[None], beams)[0].codes for goal in goals]
     assert alone == [one.codes for one in found]
-    every = predictor.hypotheses(scene, *queries, beams)
+    every = predictor.hypotheses(scene, start, goals, beams)
     assert [one[0] for one in every] == found and {len(set(one)) for one in every} == {beams}
     for hypotheses in every:
         scores = [one.score for one in hypotheses]
