@@ -1,7 +1,8 @@
 """What rows say of the paper's statements: effects with intervals, tests, and one correction for all of them.
 
 A stated number x is tested at STATED_SHARE * x, two-sided: it holds where rows say significantly more, and does not
-where they say significantly less. The tests of a page are one family, at LEVEL for all together (Holm 1979).
+where they say significantly less. What is solved in time is tested so by what it is more than CBiRRT's share. The
+tests of a page are one family, at LEVEL for all together (Holm 1979).
 """
 
 import math
@@ -16,7 +17,7 @@ from cvqmpt_lab.results.statistics import (
     geometric_mean_interval,
     ratio_of_means_interval,
 )
-from paper_tables.measures import VALUES, Pair, Rows, by_problem, fraction, paired_values
+from paper_tables.measures import VALUES, Pair, Rows, by_problem, fraction, paired_values, problem_key
 from paper_tables.paper_numbers import PublishedValue
 from paper_tables.statements import CBIRRT, Statement
 from paper_tables.writers import Lines
@@ -81,23 +82,30 @@ def overall(found: Sequence[Ruling]) -> Ruling:
 
 
 def effects_of(statement: Statement, rows: Rows, published: Sequence[PublishedValue]) -> list[Effect]:
-    """The statement against each baseline that was run."""
+    """The statement against each baseline, those without rows included: against them nothing can be told."""
     own = {planner: [row for row in rows if row.planner == planner] for planner in {r.planner for r in rows}}
     if statement.planner not in own:
         return []
     if not statement.baselines:
         return [_share(statement, own, published)]
-    value = VALUES[statement.metric]
-    return [
-        reduction(
-            statement,
-            baseline,
-            paired_values(own[statement.planner], own[baseline], value),
-            _published(statement, baseline, published),
-        )
-        for baseline in statement.baselines
-        if baseline in own
-    ]
+    value, judged = VALUES[statement.metric], own[statement.planner]
+    found = []
+    for baseline in statement.baselines:
+        others = own.get(baseline, [])
+        pairs = paired_values(judged, others, value)
+        effect = reduction(statement, baseline, pairs, _published(statement, baseline, published))
+        left_out = "" if statement.incomparable else _left_out(judged, others)
+        found.append(effect._replace(note="; ".join(filter(None, (effect.note, left_out)))))
+    return found
+
+
+def _left_out(judged: Rows, others: Rows) -> str:
+    """How many runs are in no pair because one of two planners, each of which has rows, failed; "" for none."""
+    solved = [{problem_key(row): row.solved for row in rows} for rows in (judged, others)]
+    both = solved[0].keys() & solved[1].keys()
+    lost = [sum(not one[key] and other[key] for key in both) for one, other in (solved, solved[::-1])]
+    told = [f"{n} that {rows[0].planner} alone failed" for n, rows in zip(lost, (judged, others), strict=True) if n]
+    return f"left out of {len(both)} runs: {' and '.join(told)}" if told else ""
 
 
 def reduction(statement: Statement, baseline: str, pairs: Sequence[Pair], paper: float | None = None) -> Effect:
@@ -177,7 +185,7 @@ def cutoff_of(rows: Rows, share: float) -> Cutoff:
     for time, weight in sorted((t, w) for t, w in zip(times, counted, strict=True) if t is not None):
         done += weight
         if done >= share * total * (1.0 - 1e-12):
-            note = f"within {time:.3g} s, when {CBIRRT} has solved {100.0 * share:.1f} %"
+            note = f"within {time:.3g} s, in which {CBIRRT} has solved {100.0 * share:.1f} %"
             return Cutoff(time, note)
     return Cutoff(math.inf, f"{CBIRRT} never solves {100.0 * share:.1f} %: without a cutoff")
 
@@ -192,13 +200,14 @@ SHARES: Mapping[str, Callable[[ResultRow, Cutoff], bool]] = {
 
 def _share(statement: Statement, own: Mapping[str, Rows], published: Sequence[PublishedValue]) -> Effect:
     accuracy = next((x for x in published if (x.planner, x.metric) == (CBIRRT, "accuracy")), None)
-    cutoff = Cutoff(math.inf, "")
+    cutoff, known = Cutoff(math.inf, ""), 0.0
     if statement.metric == "solved_in_time" and accuracy is not None:
-        cutoff = cutoff_of(own.get(CBIRRT, ()), float(accuracy.value) / 100.0)
+        known = float(accuracy.value) / 100.0
+        cutoff = cutoff_of(own.get(CBIRRT, ()), known)
     counted = SHARES[statement.metric]
     ours = fraction(own[statement.planner], lambda row: counted(row, cutoff))
     ours = UNDEFINED if statement.incomparable else ours
-    tested = STATED_SHARE * statement.stated
+    tested = known + STATED_SHARE * (statement.stated - known)
     p = None if ours.n < FEWEST else score_test(ours, tested)
     note = statement.incomparable or cutoff.note
     return Effect(statement, NOTHING, statement.stated, ours, UNDEFINED, p, (ours.estimate or 0.0) > tested, note)

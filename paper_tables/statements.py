@@ -71,7 +71,7 @@ CLAIMS = (
         "place-task",
         (Statement("solved_in_time", 0.9842),),
         "With ten seconds nearly all planners solve everything here, so the cutoff is the time within which CBiRRT "
-        "solves what it solved in the paper.",
+        "solves what it solved in the paper, 93.7 %. Tested is 97.9 %, nine tenths of the way from there to 98.4 %.",
     ),
     Claim(
         "fewer vertices",
@@ -108,7 +108,7 @@ CLAIMS = (
         "place-task",
         (Statement("g_sampled", 0.0, (CVQ,)),),
         "G(q) = F(q)^T F(q), the squared violation of the constraint, over all that is sampled, the Gaussians around "
-        "goals and uniform samples included.",
+        "goals included.",
     ),
     Claim(
         "lower G of codes",
@@ -129,7 +129,8 @@ CLAIMS = (
         '"reduces total planning time by 45 %"',
         "multi-sequence",
         (Statement("planning_time", 0.45, SEARCHES),),
-        "Only the last of the three phases that the paper times is constrained.",
+        "Only the last of the three phases that the paper times is constrained. In the others OMPL's planners are its "
+        "RRTConnect in joint space.",
     ),
     Claim(
         "tasks: moves −18 %",
@@ -179,6 +180,7 @@ CLAIMS = (
         "place-task",
         (Statement("accuracy", 1.0, (), incomparable="a statement about unlimited time"),),
         "The proof needs samples near every vertex with a probability above zero; far from all Gaussians that "
-        "probability is zero in floating point, so half of our samples are uniform.",
+        "probability is zero in floating point. `cvq-mpt` and `opt-cvq-mpt` draw no uniform samples, as in the paper, "
+        "so they are not complete here.",
     ),
 )
