@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cli.motion_options import configuration
-from cli.options import positive_int, writable_file
+from cli.options import seed_number, writable_file
 from cli.robot_options import add_robot, chosen_robot
 from cvqmpt_lab.codec.plain import to_text
 from cvqmpt_lab.files import write_text
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--guess", type=Path, required=True, metavar="CAM.json|yaml", help=guess)
     add("--arm-at", required=True, metavar="Q1,...,QN", help="the arm's configuration meanwhile [rad or m]")
     add("--out", type=Path, metavar="CAM.json", help="write T_world_camera, if it is trusted")
-    add("--seed", type=positive_int, default=1, help="seed of all randomness (1)")
+    add("--seed", type=seed_number, default=0, help="seed of all randomness (0)")
     add_robot(parser, "the robot in the picture (panda)")
 
 

@@ -101,7 +101,7 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
     robot, carried = problem.robot, problem.attachments
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]
-    reach = reach_with(robot, carried)
+    reach = reach_with(robot, carried) + problem.clearance
     alone = {item.name: Scene("one", (item,)) for item in problem.scene.obstacles}
     obstacles = {name: len(list(obstacles_within(scene, reach))) for name, scene in alone.items()}
     pairs = carried_pairs(robot, carried)

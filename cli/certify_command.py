@@ -9,7 +9,7 @@ import numpy as np
 
 from cli.certificate_record import compared_lines, differences, record
 from cli.options import log, numbers, positive
-from cli.robot_options import add_problem, problem_asked
+from cli.robot_options import add_problem, problem_asked, robot_options
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import DryRun, dry_run
@@ -45,8 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Judge and print; exit code 1 when anything is refused or not proven."""
     if args.path.is_dir():
-        if args.suite or args.problem_file or args.current or args.against:
-            raise InvalidInputError("the rows of a run name their problems; give the directory alone")
+        ours = args.suite, args.problem_file, args.current, args.against, args.clearance
+        if any(given is not None for given in ours) or args.robot or args.urdf or robot_options(args):
+            raise InvalidInputError("the rows of a run name their problems and robots; give the directory alone")
         return _certify_run(args.path, args.problems_dir, args.json)
     if args.problems_dir:
         raise InvalidInputError("--problems-dir goes with the directory of a run; name one file: --problem-file")

@@ -42,11 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the figure and say what it shows."""
-    if args.figure == "learning-curve":
-        raise InvalidInputError(
-            "figure learning-curve was removed with the sequence network that it measured; its numbers are in "
-            "docs/training_log.md"
-        )
     known, command = (*FIGURES, NAME, *ROW_FIGURES), own_command()
     if args.figure not in known:
         raise UnknownChoiceError("figure", args.figure, known)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cli.motion_options import pose_region
-from cli.options import positive_int
+from cli.options import positive_int, seed_number
 from cvqmpt_lab.codec.plain import from_plain, located, mapping, to_text
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--pose", metavar="'X Y Z R P Y'", help=pose)
     where.add_argument("--region", help="as in a problem file; or goal_region or start_region of the file")
     parser.add_argument("--count", type=positive_int, default=1, metavar="N", help="how many at most (1)")
-    parser.add_argument("--seed", type=positive_int, default=1, help="seed of all randomness (1)")
+    parser.add_argument("--seed", type=seed_number, default=0, help="seed of all randomness (0)")
     parser.add_argument("--json", action="store_true", help="print one json object")
 
 
@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
     with located(str(args.problem_file)):
+        data = PlanningProblem.with_named_files(data, args.problem_file.parent)
         robot = robot_from_source(mapping(data.get("robot"), "robot"))
         middle = 0.5 * (robot.lower + robot.upper)  # stands for a start that may still be missing
         given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import io
 import os
 import re
 import sys
@@ -34,9 +35,10 @@ COMMANDS = {
     "completion": "print what makes a shell complete commands, options and names",
 }
 
-REMOVED = {"trust": "make trust, in a checkout"}  # what replaces commands of the release before
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+CLOSED_PIPE = 141  # exit code of a command whose reader has gone, as shells give it
 
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0
@@ -96,8 +98,6 @@ def parser_with(filled: Collection[str]) -> Parser:
 
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
-    if argv and argv[0] in REMOVED:
-        raise InvalidInputError(f"cvqmpt {argv[0]} was removed; {REMOVED[argv[0]]} replaces it")
     asked = next((word for word in argv if word in COMMANDS), None)
     if asked != "train":
         for variable in THREADS:
@@ -114,7 +114,9 @@ def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
         args = _parsed(sys.argv[1:] if argv is None else argv)
-        return _module(args.command).run(args)
+        code = _module(args.command).run(args)
+        sys.stdout.flush()
+        return code
     except CvqmptError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         return 2
@@ -124,13 +126,25 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("cvqmpt: interrupted; what was finished is kept, the same command continues", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except BrokenPipeError:  # nobody reads on: not what a certificate says, so not 0
+        _silence()
+        return CLOSED_PIPE
+    except OSError as error:
+        print(f"cvqmpt: {error}", file=sys.stderr)
+        _silence()
+        return 2
+
+
+def _silence() -> None:
+    """Nothing more can be printed, and Python shall not try when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def entry_point() -> None:
-    """Console script."""
+    """Console script; letters that the terminal does not know are written as their numbers."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(main())
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import require_regular_file
 
 
 def positive_int(text: str) -> int:
@@ -31,7 +32,17 @@ def positive(text: str) -> float:
 
 def not_negative(text: str) -> float:
     """A finite number of 0 or more."""
-    return 0.0 if text.strip() in ("0", "0.0") else positive(text)
+    with contextlib.suppress(ValueError):
+        if math.isfinite(float(text)) and float(text) >= 0:
+            return abs(float(text))  # -0 is 0
+    raise argparse.ArgumentTypeError(f"{text!r} is not a number of 0 or more")
+
+
+def seed_number(text: str) -> int:
+    """A whole number of 0 or more."""
+    if text.isdecimal():
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
 
 
 def log(text: str) -> None:
@@ -55,6 +66,7 @@ def writable_file(path: Path) -> Path:
         raise InvalidInputError(f"cannot write {path}: folder {path.parent} does not exist; make it first")
     if path.is_dir():
         raise InvalidInputError(f"cannot write {path}: it is a folder; name a file in it")
+    require_regular_file(path, "file", "write")
     try:
         tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:

@@ -179,11 +179,7 @@ def _apart(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
 
 def _calmest(robot: Robot, manifold: RegionConstraint, checker: CollisionChecker) -> list[np.ndarray]:
     """Free configurations (n,) on a manifold, those with joints nearest to the middle of their range first."""
-    middle = (
-        np.clip(0.0, robot.lower, robot.upper)
-        if (robot.upper - robot.lower > 2.0 * np.pi).any()
-        else 0.5 * (robot.lower + robot.upper)
-    )
+    middle = np.clip(0.0, robot.lower, robot.upper) if robot.turning.any() else 0.5 * (robot.lower + robot.upper)
     found = []
     for q in robot.random_configurations(np.random.default_rng(0), DRAWS):
         landed = manifold.project(middle + 0.5 * (q - middle))

@@ -16,7 +16,7 @@ from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.sensor_task import SensedProblem
-from experiments.suites.suite import SUITES, suite_named
+from experiments.suites.suite import SUITES
 
 EXAMPLES = (
     "cvqmpt problems list place-task --problems 5",
@@ -64,23 +64,18 @@ def _new(args: argparse.Namespace) -> int:
     path = Path(args.what)
     if path.exists():
         raise InvalidInputError(f"{path} is there already; name another file")
-    from cli.problem_template import SCHEMA_FILE, template
+    from cli.problem_template import template
+    from cli.task_template import task_template
 
     if args.urdf is not None and args.end_effector is None:
         args.end_effector = read_urdf(args.urdf).likely_end_effectors[0]
         print(f"end effector {args.end_effector}, a guess; --end-effector names another")
-    if args.task:
-        from cli.task_template import SCHEMA, task_template
-
-        text = to_text({**task_template(robot_source(args) or {"name": "panda"}), "name": path.stem}) + "\n"
-        write_text(writable_file(path), text)
-        write_text(path.parent / SCHEMA, read_text(FOLDER / SCHEMA))
-        print(f"{path} written, and {SCHEMA} for editors; plan it with: cvqmpt plan --task-file {path}")
-        return 0
-    text = to_text({**template(robot_source(args) or {"name": "panda"}), "name": path.stem}) + "\n"
-    write_text(writable_file(path), text)
-    write_text(path.parent / SCHEMA_FILE, read_text(FOLDER / SCHEMA_FILE))
-    print(f"{path} written, and {SCHEMA_FILE} for editors; plan it with: cvqmpt plan --problem-file {path}")
+    kind, made_for = ("task", task_template) if args.task else ("problem", template)
+    made = made_for(robot_source(args) or {"name": "panda"})
+    schema = made["$schema"]
+    write_text(writable_file(path), to_text({**made, "name": path.stem}) + "\n")
+    write_text(path.parent / schema, read_text(FOLDER / schema))
+    print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}")
     return 0
 
 
@@ -123,7 +118,9 @@ def _export(args: argparse.Namespace) -> int:
 
 def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
     """The suite's problems with their index; unsolvable ones are printed, and how many there are."""
-    suite = suite_named(args.what)
+    if args.what not in SUITES:
+        raise UnknownChoiceError("suite", args.what, SUITES)
+    suite = SUITES[args.what]
     indices = suite.problems[: args.problems]
     bar, unsolvable = ProgressBar(f"{args.action} {suite.name}"), 0
     for done, index in enumerate(indices, start=1):

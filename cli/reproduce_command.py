@@ -21,7 +21,7 @@ from experiments.suites.suite import SUITES, Suite, folder_suite, suite_named
 from paper_tables.suite_tables import render_directory
 
 ALL = "all"
-HISTOGRAM = ("histogram", 12)  # the figure that is part of all, and of how many problems
+HISTOGRAM = ("histogram", 30)  # the figure that is part of all, and of how many problems
 FIXED = ("problems", "problems_dir", "seeds", "planners", "model", "cutoff", "iterations", "optimize")
 """Options that profiles of all suites decide."""
 EXAMPLES = (

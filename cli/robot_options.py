@@ -64,7 +64,8 @@ def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> 
     if not options or problem_file is None:
         return None
     own = mapping(read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot")
-    return {**own, **options, "locked": {**own.get("locked", {}), **options.get("locked", {})}}
+    locked = mapping(own.get("locked", {}), f"{problem_file}: robot.locked")
+    return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
 
 
 def chosen_robot(args: argparse.Namespace) -> Robot:

@@ -43,62 +43,48 @@ def check_show(args: argparse.Namespace) -> None:
         check_viewer()
 
 
-def show_solution(args: argparse.Namespace, solution: Solution, carried: tuple[Attachment, ...] = ()) -> list[str]:
-    """Write and open what was asked for; a line for each.
+def show_solution(
+    args: argparse.Namespace, solution: "Solution | TaskSolution", carried: tuple[Attachment, ...] = ()
+) -> list[str]:
+    """Write and open what was asked for of a problem or task; a line for each.
 
     carried: what the hand is shown with where the problem does not model it.
     """
     lines = []
     if args.picture:
-        from cvqmpt_lab.show.picture import draw_solution
+        from cvqmpt_lab.show.picture import draw_solution, draw_task
 
-        draw_solution(solution, args.picture, carried=carried)
-        lines.append(f"picture written to {args.picture}")
+        what = "picture"
+        if isinstance(solution, Solution):
+            draw_solution(solution, args.picture, carried=carried)
+        else:
+            what = f"picture of {', '.join(draw_task(solution, args.picture))}"
+        lines.append(f"{what} written to {args.picture}")
     if args.save and args.save.suffix in FILMS:
-        from cvqmpt_lab.show.film import film_solution
+        from cvqmpt_lab.show.film import film_solution, film_task
 
-        film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
+        if isinstance(solution, Solution):
+            film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
+        else:
+            film_task(solution, args.save, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
     if args.save and args.save.suffix == PAGE:
-        from cvqmpt_lab.show.web_page import save_page
+        from cvqmpt_lab.show.web_page import save_page, save_task_page
 
-        notes = save_page(solution, args.save, carried)
-        lines += [_page_line(args.save), *notes]
+        if isinstance(solution, Solution):
+            notes = save_page(solution, args.save, carried)
+        else:
+            notes = save_task_page(solution, args.save)
+        size = args.save.stat().st_size / 1e6
+        lines += [f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is needed", *notes]
     recording = args.save if args.save and args.save.suffix == RECORDING else None
     if recording or args.view:
-        from cvqmpt_lab.show.recording import log_solution
+        from cvqmpt_lab.show.recording import log_solution, log_task
 
-        log_solution(solution, save=recording, view=args.view, carried=carried)
+        if isinstance(solution, Solution):
+            log_solution(solution, save=recording, view=args.view, carried=carried)
+        else:
+            log_task(solution, args.save)
         if recording:
             lines.append(f"recording written to {recording}; open it with: rerun {recording}")
     return lines
-
-
-def show_task(args: argparse.Namespace, solution: "TaskSolution") -> list[str]:
-    """Write what was asked for; a line for each."""
-    lines = []
-    if args.save and args.save.suffix in FILMS:
-        from cvqmpt_lab.show.film import film_task
-
-        film_task(solution, args.save, progress=ProgressBar("film"))
-        lines.append(f"film written to {args.save}")
-    elif args.save and args.save.suffix == PAGE:
-        from cvqmpt_lab.show.web_page import save_task_page
-
-        notes = save_task_page(solution, args.save)
-        lines += [_page_line(args.save), *notes]
-    elif args.save:
-        from cvqmpt_lab.show.recording import log_task
-
-        log_task(solution, args.save)
-        lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
-    if args.picture:
-        from cvqmpt_lab.show.picture import draw_task
-
-        lines.append(f"picture of {', '.join(draw_task(solution, args.picture))} written to {args.picture}")
-    return lines
-
-
-def _page_line(path: Path) -> str:
-    size = path.stat().st_size / 1e6
-    return f"page written to {path} ({size:.1f} MB); open it in a browser, no network is needed"

@@ -23,9 +23,12 @@ _UMASK = threading.RLock()  # the umask belongs to the whole process
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path` to write to, which is moved to `path` at the end.
 
-    After an error `path` is as it was; InvalidInputError says why it cannot be written.
+    After an error `path` is as it was; InvalidInputError says why it cannot be written. A link is followed.
     """
     path = Path(path)
+    if path.is_symlink():
+        path = path.resolve()
+    require_regular_file(path, "file", "write")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -137,15 +140,15 @@ def written_by_owner_only() -> Iterator[None]:
             os.umask(before)
 
 
-def require_regular_file(path: Path, what: str = "file") -> Path:
+def require_regular_file(path: Path, what: str = "file", use: str = "read") -> Path:
     """Refuse a path to something other than a file, such as a pipe, for which a reader would wait."""
     path = Path(path)
     try:
         odd = path.exists() and not path.is_file() and not path.is_dir()
     except OSError as error:  # e.g. a name that is too long
-        raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error
+        raise InvalidInputError(f"cannot {use} {what} {path}: {error.strerror}") from error
     if odd:
-        raise InvalidInputError(f"cannot read {what} {path}: it is not a regular file")
+        raise InvalidInputError(f"cannot {use} {what} {path}: it is not a regular file")
     return path
 
 

@@ -43,6 +43,15 @@ def test_a_full_disk_keeps_the_old_file_and_leaves_no_other(tmp_path, monkeypatc
     assert names(tmp_path) == ["a"]
 
 
+def test_a_link_is_followed_and_what_is_no_file_is_not_replaced(tmp_path):
+    (tmp_path / "link").symlink_to("target")
+    write_bytes(tmp_path / "link", b"new")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "target").read_bytes() == b"new"
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InvalidInputError, match=r"cannot write file .*/pipe: it is not a regular file"):
+        write_bytes(tmp_path / "pipe", b"new")
+
+
 def test_what_fails_while_writing_is_not_moved_into_place(tmp_path):
     with pytest.raises(RuntimeError), replacing(tmp_path / "film.gif") as temporary:
         temporary.write_text("half")

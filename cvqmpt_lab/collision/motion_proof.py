@@ -53,7 +53,7 @@ def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     looks = obstacles.looks + itself.looks
     if itself.colliding is not None:
         return replace(itself, looks=looks)
-    unproven = max(obstacles.unproven, itself.unproven, key=lambda it: it.length if it else 0.0)
+    unproven = max(obstacles.unproven, itself.unproven, key=lambda it: it.length if it else -1.0)
     return MotionProof(None, unproven, obstacles.tightest, looks)
 
 

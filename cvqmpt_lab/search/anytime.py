@@ -38,7 +38,8 @@ class Improvement:
     @property
     def gained(self) -> float:
         """Share of the first path's length that was taken off."""
-        return 1.0 - self.lengths[-1][1] / self.lengths[0][1]
+        first = self.lengths[0][1]
+        return 1.0 - self.lengths[-1][1] / first if first else 0.0
 
 
 def check_units(budget: Budget, optimize: Budget) -> None:

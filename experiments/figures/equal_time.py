@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
@@ -75,6 +76,8 @@ def draw_equal_time(problems: Sequence[PlanningProblem], folder: Path) -> list[P
     """Run every method on every problem and draw; the first problem is run once before, so that nothing loads later."""
     traces_of(problems[0], 1e-3)
     found = [traces for problem in problems if any((traces := traces_of(problem, SECONDS)).values())]
+    if not found:
+        raise InvalidInputError(f"no method solved any of {len(problems)} problems in {SECONDS:g} s: nothing to draw")
     best = [min(length for trace in traces.values() for _, length in trace) for traces in found]
     ratios: dict[str, list[Interval]] = {}
     shares: dict[str, list[Interval]] = {}

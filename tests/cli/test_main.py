@@ -1,5 +1,6 @@
 """The command line as a whole: bad words are one line and exit code 2, help is quick and has examples."""
 
+import os
 import statistics
 import subprocess
 import sys
@@ -23,6 +24,12 @@ ROOT = Path(__file__).resolve().parents[2]
         ("plan place-task --problem -1", "-1", "0 to 149"),
         ("plan place-task --backend nope", "'nope'", "compiled, exact"),
         ("plan place-task --seed -1", "-1", "0 or more"),
+        ("plan place-task --clearance -0.1", "-0.1", "0 or more"),
+        ("ik --problem-file x --pose 1 --seed -1", "-1", "0 or more"),
+        ("plan multi-sequence --trajectory /tmp/x/ --speed 5", "5.0", "at most 1"),
+        ("certify tests --clearance 0.05", "run", "directory alone"),
+        ("certify tests --robot panda", "run", "directory alone"),
+        ("problems export ./tests/data/ --out /tmp/x", "./tests/data/", "place-task"),
         ("plan", "--problem-file", "place-task"),
         ("plan place-task --problem-file x", "--problem-file", "one of the four"),
         ("plan --problem-file /nope", "/nope", "No such file"),
@@ -47,7 +54,6 @@ ROOT = Path(__file__).resolve().parents[2]
         ("problems list nope", "'nope'", "place-task-with-can"),
         ("problems export place-task", "--out", "DIR"),
         ("table /nope", "/nope", "not a directory"),
-        ("trust files --long", "trust", "make trust"),
         ("bench nope", "'nope'", "kernels"),
         ("check-tables --expected /nope", "/nope", "check-tables --update"),
     ],
@@ -93,3 +99,16 @@ def test_as_a_process_an_error_is_one_line_without_traceback():
     words = [sys.executable, "-m", "cli.main", "plan", "nope"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("where", "code", "told"), [("/dev/full", 2, "cvqmpt: [Errno 28]"), ("closed", 141, "")])
+def test_what_cannot_be_printed_is_no_success(where, code, told):
+    words = [sys.executable, "-m", "cli.main", "problems", "list", "place-task", "--problems", "3"]
+    if where == "closed":
+        reading, writing = os.pipe()
+        os.close(reading)
+    else:
+        writing = os.open(where, os.O_WRONLY)
+    done = subprocess.run(words, cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert done.returncode == code and done.stderr.startswith(told) and len(done.stderr.splitlines()) == bool(told)

@@ -46,7 +46,7 @@ def test_plan_without_success_exits_with_1_and_writes_no_motion(capsys, tmp_path
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ("--optimize -1", "'-1' is not a positive number"),
+        ("--optimize -1", "'-1' is not a number of 0 or more"),
         ("--clearance 5", "clearance is 5.0; it must be a distance from 0 to 0.2"),
         ("--optimize soon", "--optimize: 'soon'"),
         ("--iterations 500 --optimize 0.05", "knows no clock"),

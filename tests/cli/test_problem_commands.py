@@ -73,6 +73,13 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         assert not problem.collision_checker().in_collision(q) and not problem.manifold.residual(q).any()
 
 
+def test_files_that_a_problem_names_lie_beside_it(mine, capsys):
+    data = json.loads(mine.read_text())
+    (mine.parent / "room.json").write_text(json.dumps(data["scene"]))
+    mine.write_text(json.dumps({**data, "scene": "room.json"}))
+    assert main(["ik", "--problem-file", str(mine), "--pose", "-0.3, 0.5, 0.3, 3.14, 0, 0", "--seed", "0"]) == 0
+
+
 def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
     assert main(["ik", "--problem-file", str(mine), "--pose", "5 0 0 0 0 0"]) == 1
     assert "0 of 1 configurations; of 100 poses, 100 without inverse kinematics" in capsys.readouterr().out

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cells import CELL, MOST_CELLS_ACROSS, blocks_of, cells_with, distinct, merged
+from cvqmpt_lab.scene.cells import CELL, MOST_CELLS_ACROSS, blocks_of, cells_with, distinct, map_of_points, merged
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 
@@ -15,6 +15,11 @@ def filled(boxes):
     corners = zip(boxes.low, boxes.high, strict=True)
     cells = [low + np.argwhere(np.ones(high - low, dtype=bool)) for low, high in corners]
     return np.concatenate(cells)
+
+
+def test_cells_finer_than_a_millimetre_are_refused_before_any_are_made():
+    with pytest.raises(InvalidInputError, match=r"resolution of 1e-09 m: give 0\.001 or more"):
+        map_of_points(np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]]), 1e-9)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
