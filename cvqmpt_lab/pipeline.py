@@ -118,7 +118,8 @@ def solve(
 
     _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.deadline.seconds)
     tree_search = stages.search or BiRRT()
-    plan = search(tree_search, query, proposal, NEAR_GOALS if near_goals_first and _turns(problem) else 0)
+    near = NEAR_GOALS if near_goals_first and problem.robot.turning.any() else 0
+    plan = search(tree_search, query, proposal, near)
     _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
 
     if space.doubtful:
@@ -145,12 +146,6 @@ def solve(
 def _as_is(path: JointPath) -> Simplified:
     """A path of others, which nobody shortens."""
     return Simplified(path, 0.0, Counters())
-
-
-def _turns(problem: PlanningProblem) -> bool:
-    """Whether a hinge of the robot turns more than once."""
-    robot = problem.robot
-    return bool(((robot.upper - robot.lower > 2.0 * np.pi) & ~robot.kinematics.prismatic).any())
 
 
 def _with_better(found: Solution, best: JointPath, improvement: Improvement, clearance: bool) -> Solution:

@@ -92,8 +92,8 @@ def _detail(error: BaseException) -> str:
 
 
 @contextmanager
-def local_processes(count: int, limit_s: Callable[[Any], float] | float | None = None) -> Iterator[Executor]:
-    """Processes on this machine; limit_s: time [s] after which a task is given up, or a function of the task."""
+def local_processes(count: int, limit_s: Callable[[Any], float | None] = lambda task: None) -> Iterator[Executor]:
+    """Processes on this machine; limit_s: time [s] after which a task is given up, None for never."""
     import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
 
@@ -114,17 +114,13 @@ def local_processes(count: int, limit_s: Callable[[Any], float] | float | None =
     try:
         yield Executor(
             count,
-            lambda f, task: pool.schedule(f, (task,), timeout=_limit(limit_s, task)),
+            lambda f, task: pool.schedule(f, (task,), timeout=limit_s(task)),
             losses,
             attempts=2,
         )
     finally:
         pool.stop()
         pool.join()
-
-
-def _limit(limit_s: Callable[[Any], float] | float | None, task: Any) -> float | None:
-    return limit_s(task) if callable(limit_s) else limit_s
 
 
 def _prepare_worker(parent: int) -> None:
@@ -140,7 +136,7 @@ def _prepare_worker(parent: int) -> None:
 
 @contextmanager
 def dask_cluster(
-    address: str, limit_s: Callable[[Any], float] | float, installed: Callable[[], dict[str, Any]]
+    address: str, limit_s: Callable[[Any], float], installed: Callable[[], dict[str, Any]]
 ) -> Iterator[Executor]:
     """Workers of a Dask cluster; `installed` gives by name what decides results and must be equal on every machine.
 
@@ -171,7 +167,7 @@ def dask_cluster(
                 raise InvalidInputError(f"{worker} has other {what}; install the same cvqmpt-lab there")
         executor = client.get_executor()
         losses = {KilledWorker: FailReason.WORKER_DIED, MemoryError: FailReason.OUT_OF_MEMORY}
-        yield Executor(len(threads), lambda f, task: executor.submit(_limited, _limit(limit_s, task), f, task), losses)
+        yield Executor(len(threads), lambda f, task: executor.submit(_limited, limit_s(task), f, task), losses)
 
 
 def _limited(limit_s: float, function: Callable[..., Any], *args: Any) -> Any:

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.collision.motion_bounds import Sweep, balls_around
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
@@ -209,7 +210,7 @@ class CollisionChecker:
             if gap > max(nearest.distance, 0.0):
                 break
             j, i = divmod(k, len(self._moving))
-            distance = _distance(self._moving[i], world.objects[j])
+            distance = coal_distance(self._moving[i], world.objects[j])
             if distance < nearest.distance:
                 nearest = Nearest(distance, CollidingPair(self._pieces[i], self._obstacles[j].name))
         return nearest
@@ -255,11 +256,6 @@ def _forget_guesses(results: pin.GeometryData) -> None:
         for k in range(len(requests)):
             requests[k] = kind()
             requests[k].gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
-
-
-def _distance(first: coal.CollisionObject, second: coal.CollisionObject) -> float:
-    """Distance [m] of two of coal's objects, negative when they overlap, whatever was measured before."""
-    return float(coal.distance(first, second, coal.DistanceRequest(), coal.DistanceResult()))
 
 
 def _boxes(objects: Sequence[coal.CollisionObject]) -> np.ndarray:

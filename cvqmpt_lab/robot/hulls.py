@@ -1,6 +1,7 @@
 """Collision shapes of links as convex polytopes."""
 
 from itertools import product
+from typing import Any
 
 import coal
 import numpy as np
@@ -17,6 +18,11 @@ THINNEST = 1e-6  # [m] of a mesh up to 1 m across; of a larger one in proportion
 # Else the last digits of all distances would depend on the first problem of a process.
 _BOX, _BESIDE = coal.Box(1.0, 1.0, 1.0), coal.Transform3s(np.eye(3), np.array([2.0, 0.0, 0.0]))
 coal.distance(_BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult())
+
+
+def coal_distance(*bodies: Any) -> float:
+    """Distance [m] of two of coal's objects, or of two shapes, a pose after each; negative where they overlap."""
+    return float(coal.distance(*bodies, coal.DistanceRequest(), coal.DistanceResult()))
 
 
 def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import coal
 import numpy as np
 
+from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry
 
@@ -32,7 +33,7 @@ def proven_apart(
     joints, lever = np.array(list(levers), dtype=int), np.array(list(levers.values()))
     left = MOST_DISTANCES // MORE_JOINTS ** max(len(joints) - 3, 0)
     low, high = kinematics.lower[joints][None], kinematics.upper[joints][None]
-    (ball_a, radius_a), (ball_b, radius_b) = (_ball(piece) for piece in pieces)
+    (ball_a, radius_a), (ball_b, radius_b) = (piece.ball for piece in pieces)
     while len(low):
         q = np.tile(kinematics.lower, (len(low), 1))  # joints that are not between the pieces change nothing
         q[:, joints] = 0.5 * (low + high)
@@ -66,25 +67,12 @@ def _distance(
     rotations: np.ndarray,
     translations: np.ndarray,
 ) -> float:
-    """Distance of two shapes [m] at the poses of all links, by coal."""
+    """Distance of two shapes [m] at the poses of all links."""
     placed = []
     for piece in pieces:
         R, T = rotations[piece.link], piece.T_link_geometry
         placed.append(coal.Transform3s(R @ T[:3, :3], R @ T[:3, 3] + translations[piece.link]))
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    return float(coal.distance(shapes[0], placed[0], shapes[1], placed[1], request, result))
-
-
-def _in_link(piece: LinkGeometry) -> np.ndarray:
-    """Vertices (n, 3) [m] in the frame of the link."""
-    return piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
-
-
-def _ball(piece: LinkGeometry) -> tuple[np.ndarray, float]:
-    """Centre in the link's frame and radius [m] of a ball around a piece."""
-    points = _in_link(piece)
-    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+    return coal_distance(shapes[0], placed[0], shapes[1], placed[1])
 
 
 def distance_levers(kinematics: Kinematics, first: LinkGeometry, second: LinkGeometry) -> dict[int, float]:
@@ -95,7 +83,7 @@ def distance_levers(kinematics: Kinematics, first: LinkGeometry, second: LinkGeo
     sides = [[j for j in side if j not in other] for side, other in (sides, sides[::-1])]
     levers = {}
     for joints, piece, others, other in zip(sides, (first, second), sides[::-1], (second, first), strict=True):
-        own, far = _in_link(piece), float(np.linalg.norm(_in_link(other), axis=1).max())
+        own, far = piece.vertices_in_link, float(np.linalg.norm(other.vertices_in_link, axis=1).max())
         far += sum(_step(kinematics, j) for j in others)  # of the other piece from where both chains part
         to_other = {}
         for j in reversed(joints):

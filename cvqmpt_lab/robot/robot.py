@@ -44,6 +44,18 @@ class LinkGeometry:
     T_link_geometry: np.ndarray  # (4, 4)
     vertices: np.ndarray  # (n, 3) corners of the hull in the geometry frame [m]
 
+    @property
+    def vertices_in_link(self) -> np.ndarray:
+        """The same (n, 3) in the frame of the link [m]."""
+        return self.vertices @ self.T_link_geometry[:3, :3].T + self.T_link_geometry[:3, 3]
+
+    @property
+    def ball(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) in the link's frame and radius of a ball around the piece [m]."""
+        points = self.vertices_in_link
+        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        return centre, float(np.linalg.norm(points - centre, axis=1).max())
+
 
 SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s on the Panda
 PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2], data sheet; velocities: its URDF
@@ -149,6 +161,11 @@ class Robot(Pictured):
         """Upper joint limits (n,) [rad or m]."""
         return self.kinematics.upper
 
+    @cached_property
+    def turning(self) -> np.ndarray:
+        """Which joints turn more than once, (n,) bool."""
+        return ~self.kinematics.prismatic & (self.upper - self.lower > 2.0 * np.pi)
+
     @property
     def joint_limits(self) -> JointLimits:
         """Velocity limits of the URDF with `acceleration_limits`; refused without the latter."""
@@ -183,8 +200,7 @@ class Robot(Pictured):
         for piece in self.links:
             if piece.link == 0:
                 continue
-            points = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
-            ends.append(distance[piece.link] + np.linalg.norm(points, axis=1).max())
+            ends.append(distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max())
         return float(max(ends))
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:

@@ -172,10 +172,8 @@ def _balls(links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.nda
     rotations, translations = link_poses(kinematics, states)
     centres, radii = np.empty((len(states), len(links), 3)), np.empty(len(links))
     for i, piece in enumerate(links):
-        points = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        middle, radii[i] = piece.ball
         centres[:, i] = rotations[:, piece.link] @ middle + translations[:, piece.link]
-        radii[i] = np.linalg.norm(points - middle, axis=1).max()
     return centres, radii
 
 

@@ -102,14 +102,14 @@ class NamedRobot(RobotOptions):
 
 
 def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source with its relative paths taken from a folder; `read_source` refuses what is no object."""
+    """A robot's source, its paths made absolute from a folder; `read_source` refuses what is no object."""
     if not isinstance(source, Mapping):
         return source
     named = [name for name in ("urdf", "srdf") if isinstance(source.get(name), str)]
-    files: dict[str, Any] = {name: str(folder / source[name]) for name in named}
+    files: dict[str, Any] = {name: str((folder / source[name]).absolute()) for name in named}
     folders = source.get("package_dirs")
     if isinstance(folders, list) and all(isinstance(path, str) for path in folders):
-        files["package_dirs"] = [str(folder / path) for path in folders]
+        files["package_dirs"] = [str((folder / path).absolute()) for path in folders]
     return {**source, **files}
 
 

@@ -3,7 +3,7 @@
 import coal
 import numpy as np
 
-from cvqmpt_lab.robot.hulls import convex_hull
+from cvqmpt_lab.robot.hulls import coal_distance, convex_hull
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
 
@@ -32,6 +32,4 @@ def shape_distance(
     T_world_second: np.ndarray,
 ) -> float:
     """Signed distance [m] of two shapes of `coal_shape`; negative where they overlap."""
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    T_first, T_second = transform(T_world_first), transform(T_world_second)
-    return float(coal.distance(first, T_first, second, T_second, request, result))
+    return coal_distance(first, transform(T_world_first), second, transform(T_world_second))

@@ -13,7 +13,6 @@ from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing
 from cvqmpt_lab.scene.convex import convex_pieces
 
-KINDS: Mapping[str, str] = {".stl": "stl", ".obj": "obj", ".dae": "dae"}  # the parser's names by suffix
 MOST_TRIANGLES = 200_000
 ROOM = 20.0  # [m] within which at least half of a mesh must lie
 
@@ -36,10 +35,10 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
 
 def read_triangles(path: Path) -> FloatArray:
     """The corners (f, 3, 3) of a file's triangles, in its own unit."""
-    kind = KINDS[kind_of(path, KINDS, "mesh")]
+    suffix = kind_of(path, KINDS, "mesh")
     data = file_bytes(path, "mesh")
     with parsing(path, "mesh"):
-        mesh = trimesh.load_mesh(io.BytesIO(CLEANED[kind](data)), file_type=kind, process=False)
+        mesh = trimesh.load_mesh(io.BytesIO(KINDS[suffix](data)), file_type=suffix[1:], process=False)
         vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if len(faces) == 0:
@@ -51,7 +50,7 @@ def read_triangles(path: Path) -> FloatArray:
         corners = vertices[faces]
         if not np.isfinite(corners).all():
             raise InvalidInputError("a corner of a triangle is not finite")
-        return collada_unit(data) * corners if kind == "dae" else corners
+        return collada_unit(data) * corners if suffix == ".dae" else corners
 
 
 def _as_utf8(data: bytes) -> bytes:
@@ -71,5 +70,5 @@ def _as_stl(data: bytes) -> bytes:
     )
 
 
-CLEANED: Mapping[str, Callable[[bytes], bytes]] = {"stl": _as_stl, "obj": _as_utf8, "dae": bytes}
-"""What is checked or repaired before the parser sees a file."""
+KINDS: Mapping[str, Callable[[bytes], bytes]] = {".stl": _as_stl, ".obj": _as_utf8, ".dae": bytes}
+"""What is checked or repaired before the parser sees a file, by suffix."""

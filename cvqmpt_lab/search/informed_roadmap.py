@@ -20,14 +20,14 @@ from cvqmpt_lab.search.roadmap import (
     FEWEST,
     Roadmap,
     RoadmapQuery,
-    RoadmapSettings,
+    RoadmapSearchSettings,
     nearest_rows,
     scene_costs,
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 STRETCHES = (1.6, 2.0, 1.3, 2.6, np.inf)  # times the straight line's length, up to the best path's, in turn
-SETTINGS = RoadmapSettings(links=40, penalty=0.0, searches=20, greed=1.5)
+SETTINGS = RoadmapSearchSettings(links=40, penalty=0.0, searches=20, greed=1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class InformedRoadmaps:
     neighbours: int = 20
     slack: float = 2.0  # times the best length that a raw path may be long
     weight: float = 1.0  # [rad] of -log P(free), see `EdgeCosts`
-    settings: RoadmapSettings = SETTINGS
+    settings: RoadmapSearchSettings = SETTINGS
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
 
     def next_path(

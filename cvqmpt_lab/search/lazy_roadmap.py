@@ -59,7 +59,7 @@ NO_PATH = 0  # instead of a number of states
 UNLIMITED = np.inf  # [rad] of a motion on the manifold; its neighbours' distance is limited anyway
 
 
-class Roadmap(NamedTuple):
+class RoadmapArrays(NamedTuple):
     """N nodes, a start and G goals, and room for searches. Rows of `nodes`: N nodes, the start, G goals."""
 
     nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
@@ -114,7 +114,7 @@ def nearest_nodes(
 
 @entry
 def link_query(
-    roadmap: Roadmap,
+    roadmap: RoadmapArrays,
     chosen: Annotated[np.ndarray, "int32 links"],
     squares: Annotated[np.ndarray, "links"],
 ):
@@ -298,7 +298,7 @@ def _join_nodes(space, roadmap, path, length, ends, states):
 @entry
 def search(
     space: Space,
-    roadmap: Roadmap,
+    roadmap: RoadmapArrays,
     costs: EdgeCosts,
     most_searches: int,
     drift: float,
@@ -369,7 +369,7 @@ def keep_short_ways(
 
 @entry
 def block_state(
-    roadmap: Roadmap,
+    roadmap: RoadmapArrays,
     path: Annotated[np.ndarray, "int64 longest"],
     ends: Annotated[np.ndarray, "int64 longest"],
     length: int,

@@ -37,11 +37,6 @@ def nearest_rows(nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool
     return np.take_along_axis(near, order, axis=1)
 
 
-def turning(robot: Robot) -> np.ndarray:
-    """Which joints turn more than once, (n,) bool."""
-    return ~robot.kinematics.prismatic & (robot.upper - robot.lower > TURN)
-
-
 @dataclass(frozen=True, eq=False)
 class Roadmap:
     """Configurations to plan through, each linked to its nearest ones."""
@@ -66,7 +61,7 @@ class Roadmap:
 
     def near(self, start: np.ndarray, robot: Robot) -> "Roadmap":
         """The same with joints that turn more than once turned as near to start (n,) as their limits allow."""
-        turns = turning(robot)
+        turns = robot.turning
         if not turns.any():
             return self
         nodes, low, high = self.nodes.copy(), robot.lower[turns], robot.upper[turns]
@@ -76,7 +71,7 @@ class Roadmap:
 
 
 @dataclass(frozen=True)
-class RoadmapSettings:
+class RoadmapSearchSettings:
     """How a roadmap is searched; defaults were chosen on the tuning environments."""
 
     links: int = 40  # nodes that the start and each goal are linked to
@@ -114,19 +109,18 @@ class RoadmapQuery:
         roadmap: Roadmap,
         start: np.ndarray,
         goals: np.ndarray,
-        settings: RoadmapSettings,
-        costs: EdgeCosts | None = None,
+        settings: RoadmapSearchSettings,
+        costs: EdgeCosts,
         longest: float = np.inf,
         known: int = kernels.UNKNOWN,
     ) -> None:
         """Link start (n,) and goals (k, n) to the roadmap.
 
-        costs: of edges, None for those of `scene_costs`. longest: paths that are believed to cost more are not looked
-        for [rad]. known: of all nodes; FREE ones are on the manifold.
+        longest: paths that are believed to cost more are not looked for [rad]. known: of all nodes; FREE ones are on
+        the manifold.
         """
-        self._longest = longest
+        self._costs, self._longest = costs, longest
         self._settings, self._space, self._arrays = settings, space, space.arrays._replace(step=settings.step)
-        self._costs = costs or scene_costs(space)
         self._ends, self.searches = (start, goals), 0
         verdict = np.full(len(roadmap.nodes), known, dtype=np.int8)
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
@@ -138,7 +132,7 @@ class RoadmapQuery:
         links = min(settings.links, count)
         neighbours = np.full((count + 1, max(links, table.shape[1])), -1, dtype=np.int32)
         neighbours[:count, : table.shape[1]] = table
-        self._graph = kernels.Roadmap(
+        self._graph = kernels.RoadmapArrays(
             nodes=np.concatenate([nodes, start[None], goals]),
             neighbours=neighbours,
             edge=np.zeros(neighbours.shape, dtype=np.int8),
@@ -163,7 +157,10 @@ class RoadmapQuery:
         self._graph.to_go[:] *= settings.greed
 
     def add_nodes(self, added: np.ndarray) -> None:
-        """Link more nodes (a, n) to the roadmap, to each other and to start and goals; verdicts stay."""
+        """Link more nodes (a, n) to the roadmap, to each other and to start and goals.
+
+        Verdicts on nodes and on edges between them stay; those on edges of start and goals are forgotten.
+        """
         before, count, half = self._graph, self._count, self._settings.links // 2
         nodes = np.concatenate([before.nodes[:count], added])
         table = np.full((len(nodes), before.neighbours.shape[1]), -1, dtype=np.int32)
@@ -235,7 +232,7 @@ class RoadmapPath:
 
     roadmap: Roadmap
     name: str
-    settings: RoadmapSettings = field(default_factory=RoadmapSettings)
+    settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
     uniform_share: float = 0.3  # of the samples that a search gets when the roadmap holds no path
     draws: int = 3  # how often nodes near start and goals are added while there is no path
     drawn: int = 128  # nodes added at once

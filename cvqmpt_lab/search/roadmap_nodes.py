@@ -15,7 +15,7 @@ from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.search.roadmap import TURN, Roadmap, turning
+from cvqmpt_lab.search.roadmap import TURN, Roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 NODES = 1024
@@ -77,7 +77,7 @@ def _is_roadmap(space: ConstrainedSpace, arrays: Mapping[str, np.ndarray]) -> bo
 
 def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray:
     """Free configurations (at most NODES, n)."""
-    robot, turns = space.robot, turning(space.robot)
+    robot, turns = space.robot, space.robot.turning
     middle = 0.5 * (robot.lower + robot.upper)
     low = np.where(turns, middle - 0.5 * TURN, robot.lower)
     width = np.where(turns, TURN, robot.upper - robot.lower)
@@ -101,7 +101,7 @@ def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
 
     Joints that turn more than once take the shorter way round.
     """
-    turns = turning(space.robot)
+    turns = space.robot.turning
     table = np.full((len(nodes), NEIGHBOURS), -1, dtype=np.int32)
     for i, node in enumerate(nodes):
         way = nodes - node

@@ -81,11 +81,7 @@ def _pieces(robot: Robot) -> tuple[_Piece, ...]:
 def _piece(part: LinkGeometry) -> _Piece:
     from scipy.spatial import ConvexHull
 
-    T = part.T_link_geometry
-    vertices = part.vertices @ T[:3, :3].T + T[:3, 3]
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    radius = float(np.linalg.norm(vertices - middle, axis=1).max())
-    return _Piece(part.link, middle, radius, ConvexHull(vertices).equations)
+    return _Piece(part.link, *part.ball, ConvexHull(part.vertices_in_link).equations)
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:

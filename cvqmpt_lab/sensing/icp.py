@@ -45,8 +45,7 @@ def arm_surface(arm: Arm, count: int, rng: np.random.Generator) -> Surface:
     q = np.ascontiguousarray(arm.q, dtype=float)
     (rotations,), (translations,) = link_poses(arm.robot.kinematics, q[None])
     links = arm.robot.links
-    frames = [part.T_link_geometry for part in links]
-    hulls = [ConvexHull(p.vertices @ T[:3, :3].T + T[:3, 3]) for p, T in zip(links, frames, strict=True)]
+    hulls = [ConvexHull(part.vertices_in_link) for part in links]
     link = np.repeat([part.link for part in links], [len(hull.simplices) for hull in hulls])
     corners = np.concatenate([hull.points[hull.simplices] for hull in hulls])
     outwards = np.concatenate([hull.equations[:, :3] for hull in hulls])

@@ -16,6 +16,7 @@ import numpy as np
 
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
@@ -207,14 +208,8 @@ def _scene(scene: Scene) -> list[Body]:
     height = ground_height(scene)
     if height is not None:
         floor = shape_mesh(Box((FLOOR_SIDE, FLOOR_SIDE, 0.02)))
-        found.append(Body("floor", floor, colour_of("floor"), np.array([_lifted(height - 0.01)])))
+        found.append(Body("floor", floor, colour_of("floor"), pose((0.0, 0.0, height - 0.01))[None]))
     return found
-
-
-def _lifted(height: float) -> np.ndarray:
-    T = np.eye(4)
-    T[2, 3] = height
-    return T
 
 
 def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:

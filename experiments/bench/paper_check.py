@@ -64,8 +64,7 @@ def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
     """Pose row and corners (n, 3) [m, in its frame] of every link with collision geometry, by name."""
     found: dict[str, tuple[int, list[np.ndarray]]] = {}
     for piece in robot.links:
-        corners = piece.vertices @ piece.T_link_geometry[:3, :3].T + piece.T_link_geometry[:3, 3]
-        found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(corners)
+        found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(piece.vertices_in_link)
     return {name: (row, np.concatenate(corners)) for name, (row, corners) in found.items()}
 
 

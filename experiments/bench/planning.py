@@ -98,7 +98,7 @@ def bench_growth() -> Iterator[Measurement]:
             samples = problem.robot.random_configurations(rng, SAMPLES)
             before, began, first = space.counters, time.process_time(), 0
             while first < SAMPLES:
-                status, first = kernels.grow(arrays, trees, samples, first, True, BiRRT().reach)
+                status, first = kernels.grow(arrays, trees, samples, first, BiRRT().reach)
                 trees = kernels.enlarged(trees) if status == kernels.FULL else trees
             if trees.size.max() > 0.8 * size:
                 took = 1e6 * (time.process_time() - began)

@@ -11,7 +11,7 @@ import numpy as np
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
-from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegionChain
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -34,15 +34,12 @@ GOALS_NEEDED = 10  # of `pipeline.MAX_GOALS`; a posture that reaches fewer stand
 START_MARGIN = 5e-4  # [m] kept by starts: a closed door is only 1 mm from its neighbour
 
 
-def handle_region(turn: float = FREE, slide: float = 0.0) -> TaskSpaceRegionChain:
-    """Hand poses that hold the bar.
-
-    turn: how far the hand may turn about the bar either way [rad]. slide: and move along it [m].
-    """
+def handle_region(turn: float = FREE) -> TaskSpaceRegionChain:
+    """Hand poses that hold the bar; turn: how far the hand may turn about it either way [rad]."""
     Tw_e = pose((-STANDOFF, 0.0, 0.0))
     Tw_e[:3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]  # hand z along x, hand x down
     Bw = np.zeros((6, 2))
-    Bw[2], Bw[5] = (-slide, slide), (-turn, turn)
+    Bw[5] = -turn, turn
     return TaskSpaceRegionChain(np.eye(4), Tw_e, Bw, BAR)
 
 
@@ -58,19 +55,15 @@ def bar_pose(angle: float) -> np.ndarray:
     return kitchen().with_joint(DOOR, angle)[BAR].T_world_object
 
 
-def door_problem(
-    seed: int, angle: float = OPEN, region: TaskSpaceRegionChain | None = None, finger_opening: float = GRIP
-) -> PlanningProblem | UnsolvableProblem:
-    """Open the door to an angle [rad], from a grasp of the closed one; goals are sampled by `pipeline.solve`.
+def door_problem(seed: int) -> PlanningProblem | UnsolvableProblem:
+    """Open the door, from a grasp of the closed one; goals are sampled by `pipeline.solve`.
 
     seed: of the start grasp, the first in whose posture `GOALS_NEEDED` goals are found.
-    region: what the hand keeps; by default it may turn freely about the bar.
     """
-    scene, robot = door_world(finger_opening)
-    region = region or handle_region()
+    scene, robot = door_world()
     checker = CollisionChecker(robot, scene, margin=START_MARGIN)
     grasp = handle_region(turn=0.0)
-    goal = goal_region(region, angle)
+    goal = handle_region(TURN).at(bar_pose(OPEN))
     rng = np.random.default_rng([seed, 1])
     starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,))
     for start in starts.configurations:
@@ -80,16 +73,9 @@ def door_problem(
             scene=scene,
             start=start,
             goals=np.empty((0, robot.dof)),
-            constraint=(region,),
+            constraint=(handle_region(),),
             goal_region=goal,
         )
         if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
             return problem
     return UnsolvableProblem(str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}")
-
-
-def goal_region(region: TaskSpaceRegionChain, angle: float) -> TaskSpaceRegion:
-    """Where the hand holds the bar with the door at an angle, turned about it by at most `TURN`."""
-    Bw = region.Bw.copy()
-    Bw[5] = np.clip(Bw[5], -TURN, TURN)
-    return TaskSpaceRegion(bar_pose(angle) @ region.T0_w, region.Tw_e, Bw)

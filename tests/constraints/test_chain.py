@@ -84,7 +84,7 @@ def test_goals_have_the_door_where_the_hand_takes_it(door):
 
 @pytest.mark.parametrize("turn", [np.inf, 0.7])
 def test_json_round_trip(turn):
-    chain = handle_region(turn, slide=0.01)
+    chain = handle_region(turn)
     for region in (chain, chain.at(np.eye(4))):
         again = from_plain(Region, json.loads(json.dumps(to_plain(region, Region))))
         assert type(again) is type(region) and again == region

@@ -10,7 +10,7 @@ from cvqmpt_lab.search.informed_roadmap import InformedRoadmaps
 from cvqmpt_lab.search.lazy_roadmap import keep_short_ways
 from cvqmpt_lab.search.query import Deadline
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSettings
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 ENOUGH = Budget(iterations=20_000)
@@ -41,11 +41,12 @@ def test_draws_kept_are_free_on_the_manifold_and_on_short_ways(problem, first):
 
 def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
     nodes = problem.robot.random_configurations(np.random.default_rng(5), 1500)
-    settings = RoadmapSettings(greed=1.0, searches=2000)
+    settings = RoadmapSearchSettings(greed=1.0, searches=2000)
 
     def length_within(longest):
         space = ConstrainedSpace(problem)
-        query = RoadmapQuery(space, Roadmap.of(nodes), problem.start, problem.goals, settings, longest=longest)
+        ends, costs = (problem.start, problem.goals), scene_costs(space)
+        query = RoadmapQuery(space, Roadmap.of(nodes), *ends, settings, costs, longest)
         found = query.next_path(Deadline(ENOUGH, space))
         return None if found is None else found.length
 

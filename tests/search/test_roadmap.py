@@ -15,7 +15,7 @@ from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.query import Deadline, GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath, RoadmapQuery, RoadmapSettings, scene_costs
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath, RoadmapQuery, RoadmapSearchSettings, scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.place_task import place_problem, single_goal_problem
 
@@ -42,7 +42,8 @@ def plan(problem, proposer, seed=0):
 def query_of(problem, roadmap, **settings):
     """A query and a generous deadline in a fresh space."""
     space = ConstrainedSpace(problem)
-    query = RoadmapQuery(space, roadmap, problem.start, problem.goals, RoadmapSettings(**settings))
+    asked = RoadmapSearchSettings(**settings)
+    query = RoadmapQuery(space, roadmap, problem.start, problem.goals, asked, scene_costs(space))
     return space, query, Deadline(ENOUGH, space)
 
 
@@ -85,7 +86,8 @@ def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
 
 
 def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap):
-    result = plan(problem, RoadmapPath(roadmap, "roadmap", settings=RoadmapSettings(searches=1, links=1), draws=0))
+    few = RoadmapSearchSettings(searches=1, links=1)
+    result = plan(problem, RoadmapPath(roadmap, "roadmap", settings=few, draws=0))
     assert result.path is not None and certify(problem, result.path).valid
     assert result.fallback.startswith("birrt around ")
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
