@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("suite", nargs="?", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
     folder = "or a folder of problem files (*.json), by their names; the suite is called like the folder"
     add("--problems-dir", type=Path, metavar="DIR", help=folder)
-    takes = "on two cores an hour and a half, three minutes (full)"
+    takes = "on two cores two hours, three minutes (full)"
     add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {takes}")
     add("--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)")
     add("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")

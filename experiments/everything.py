@@ -76,7 +76,7 @@ FULL = (
     Amount("sensor-robustness", cutoff=3.0),
     Amount("open-door"),
     Amount("place-task", seeds=3),
-    Amount("multi-sequence", seeds=3),
+    Amount("multi-sequence"),
     Amount("sensor", seeds=3),
 )
 SMALL = (
@@ -90,7 +90,7 @@ SMALL = (
     Amount(CONTROLS_FOLDER, 3, cutoff=2.0, planners=CONTROLLED),
 )
 PROFILES: Mapping[str, tuple[Amount, ...]] = {"full": FULL, "small": SMALL}
-"""What is committed, an hour and a half on two cores, and a little of it, three minutes."""
+"""What is committed, two hours on two cores, and a little of it, three minutes."""
 
 
 def amounts(profile: str) -> tuple[Amount, ...]:
