@@ -39,13 +39,13 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     """
     joint = scene.articulation(name)
     movers = [scene[part] for part in joint.moves]
+    cloud = next((item.name for item in movers if isinstance(item.shape, Measured)), None)
+    if cloud is not None:
+        raise InvalidInputError(f"{cloud!r}, a part of {name!r}, is measured points: give a box or a mesh in its place")
     moved = {part for item in scene.articulations for part in item.moves}
     standing = (item for item in scene.obstacles if item.name not in moved)
     fixed = [item for item in standing if not isinstance(item.shape, Measured)]
     casing = [item for item in fixed if _rests_against(joint, movers, item)]
-    cloud = next((item.name for item in (*movers, *casing) if isinstance(item.shape, Measured)), None)
-    if cloud is not None:
-        raise InvalidInputError(f"{cloud!r}, a part of {name!r}, is measured points: give a box or a mesh in its place")
     T_joint_world = np.linalg.inv(joint.T_world_joint @ joint.motion(joint.value))
     heights = [(T_joint_world @ item.T_world_object)[2, 3] for item in movers]
     middle = pose((0.0, 0.0, float(np.mean(heights))))

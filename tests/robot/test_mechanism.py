@@ -17,7 +17,7 @@ from cvqmpt_lab.scene.articulation import DEEPEST, take_out
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world
@@ -126,6 +126,15 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger")) and checker.in_collision(grasp)
     problem = PlanningProblem("rod", robot, Scene("nothing", ()), grasp, grasp[None], attachments=(rod,))
     assert not ConstrainedSpace(problem).valid(grasp)
+
+
+def test_a_door_of_measured_points_is_refused():
+    scene = kitchen()
+    part = scene.articulation(DOOR).moves[0]
+    measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
+    spoilt = replace(scene, objects=tuple(measured if item.name == part else item for item in scene.objects))
+    with pytest.raises(InvalidInputError, match=f"'{part}', a part of '{DOOR}', is measured points"):
+        take_out(spoilt, DOOR)
 
 
 def test_what_is_no_door_or_an_angle_outside_its_range_is_refused(grasp):
