@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.codec.forms import FloatArray
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.scene.shapes import FINEST, Measured, OccupancyMap, PointCloud
+from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
 
 MOST_BALLS = 1000  # clouds of more points are checked as boxes, which hold the balls and a little more
 CELL = np.sqrt(2.0)  # edge of a cloud's cells, in radii of its balls
@@ -75,8 +74,7 @@ def cells_with(columns: np.ndarray, edge: float) -> Cells:
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
     """The cells that hold some of points (m, 3), m >= 1 [m], of the grid through the origin; see `OccupancyMap`."""
-    if not resolution >= FINEST:
-        raise InvalidInputError(f"a map's resolution of {resolution:g} m: give {FINEST:g} or more")
+    require_resolution(resolution)
     place = np.floor(points / resolution)
     first = place.min(axis=0)
     return OccupancyMap(distinct((place - first).astype(np.int64)) + first, resolution, padding)

@@ -153,13 +153,18 @@ class OccupancyMap(Checked):
         super().__post_init__()
         if len(self.cells) == 0:
             raise InvalidInputError("OccupancyMap.cells is empty: leave the object out of the scene")
-        if self.resolution < FINEST:
-            raise InvalidInputError(f"OccupancyMap.resolution is {self.resolution:g} m; give {FINEST:g} m or more")
+        require_resolution(self.resolution)
 
     @property
     def centres(self) -> FloatArray:
         """(k, 3), of the cells [m]."""
         return (self.cells + 0.5) * self.resolution
+
+
+def require_resolution(resolution: float) -> None:
+    """Refuse cells [m] that are too fine for a map, before any are counted."""
+    if not resolution >= FINEST:
+        raise InvalidInputError(f"OccupancyMap.resolution is {resolution:g} m; give {FINEST:g} m or more")
 
 
 Measured = PointCloud | OccupancyMap  # what sensors make of a world

@@ -9,7 +9,7 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cells import distinct, map_of_points
-from cvqmpt_lab.scene.shapes import OccupancyMap
+from cvqmpt_lab.scene.shapes import OccupancyMap, require_resolution
 from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
@@ -29,6 +29,7 @@ class MapSettings:
     robot_margin: float = 0.05  # cells this near to the robot are no unknown ones [m]
 
     def __post_init__(self) -> None:
+        require_resolution(self.resolution)
         if not np.all(np.subtract(self.upper, self.lower) >= self.resolution):
             raise InvalidInputError(
                 f"box of a map from {self.lower} to {self.upper} m holds no cell of {self.resolution:g} m; "

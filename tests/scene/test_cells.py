@@ -18,7 +18,7 @@ def filled(boxes):
 
 
 def test_cells_finer_than_a_millimetre_are_refused_before_any_are_made():
-    with pytest.raises(InvalidInputError, match=r"resolution of 1e-09 m: give 0\.001 or more"):
+    with pytest.raises(InvalidInputError, match=r"OccupancyMap\.resolution is 1e-09 m; give 0\.001 m or more"):
         map_of_points(np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]]), 1e-9)
 
 

@@ -85,6 +85,8 @@ def test_maps_that_cannot_be_are_refused(settings, message):
         occupancy_map(np.empty((0, 3)), settings, captures)
     with pytest.raises(InvalidInputError, match="lower corner below the upper"):
         MapSettings(lower=(1.0, 0.0, 0.0), upper=(0.0, 1.0, 1.0))
+    with pytest.raises(InvalidInputError, match=r"resolution is 1e-09 m; give 0\.001 m or more"):
+        MapSettings(resolution=1e-9, unknown="occupied")
 
 
 @pytest.fixture(scope="module")
