@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from cli.motion_options import configuration
-from cli.options import seed_number, writable_file
+from cli.options import writable_file
 from cli.robot_options import add_robot, chosen_robot
 from cvqmpt_lab.codec.plain import to_text
+from cvqmpt_lab.errors import whole_number
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.sensing.calibration import calibrate
 from cvqmpt_lab.sensing.camera_files import read_extrinsics
@@ -30,12 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--guess", type=Path, required=True, metavar="CAM.json|yaml", help=guess)
     add("--arm-at", required=True, metavar="Q1,...,QN", help="the arm's configuration meanwhile [rad or m]")
     add("--out", type=Path, metavar="CAM.json", help="write T_world_camera, if it is trusted")
-    add("--seed", type=seed_number, default=0, help="seed of all randomness (0)")
+    add("--seed", type=int, default=0, help="seed of all randomness (0)")
     add_robot(parser, "the robot in the picture (panda)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Align, report, write; exit code 1 when the result is not trusted."""
+    whole_number("--seed", args.seed)
     if args.out:
         writable_file(args.out)
     robot = chosen_robot(args)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cli.certificate_record import compared_lines, differences, record
 from cli.options import log, numbers, positive
-from cli.robot_options import add_problem, problem_asked, robot_options
+from cli.robot_options import add_problem, problem_asked, robot_source
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import DryRun, dry_run
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     """Judge and print; exit code 1 when anything is refused or not proven."""
     if args.path.is_dir():
         ours = args.suite, args.problem_file, args.current, args.against, args.clearance
-        if any(given is not None for given in ours) or args.robot or args.urdf or robot_options(args):
+        if any(given is not None for given in ours) or robot_source(args):
             raise InvalidInputError("the rows of a run name their problems and robots; give the directory alone")
         return _certify_run(args.path, args.problems_dir, args.json)
     if args.problems_dir:

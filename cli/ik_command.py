@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from cli.motion_options import pose_region
-from cli.options import positive_int, seed_number
+from cli.options import positive_int
 from cvqmpt_lab.codec.plain import from_plain, located, mapping, to_text
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import json_object, read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -34,12 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--pose", metavar="'X Y Z R P Y'", help=pose)
     where.add_argument("--region", help="as in a problem file; or goal_region or start_region of the file")
     parser.add_argument("--count", type=positive_int, default=1, metavar="N", help="how many at most (1)")
-    parser.add_argument("--seed", type=seed_number, default=0, help="seed of all randomness (0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
     parser.add_argument("--json", action="store_true", help="print one json object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Sample, print; exit code 1 when there is none."""
+    whole_number("--seed", args.seed)
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
     with located(str(args.problem_file)):

@@ -38,13 +38,6 @@ def not_negative(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not a number of 0 or more")
 
 
-def seed_number(text: str) -> int:
-    """A whole number of 0 or more."""
-    if text.isdecimal():
-        return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
-
-
 def log(text: str) -> None:
     """Print a line on standard error at once."""
     print(text, file=sys.stderr, flush=True)
