@@ -1,4 +1,4 @@
-"""The certificate of a path: an independent check, also between states, that shares no code with planners or kernels.
+"""The certificate of a path: an independent check, also between states, that uses no compiled function of the planners.
 
 Poses and rotation vectors come from pinocchio, distances from coal.
 """
