@@ -50,21 +50,22 @@ TERMS = (
     "count such runs.",
     f"Rules. A stated change counts as reached if {100 * STATED_SHARE:.0f} % of it is: 50 % is tested at 45 %, "
     "two-sided, by Student's test of the logarithms and Fieller's of the means, a share by the score test. The larger"
-    " of the two p counts; it is 1 where the two statistics lie on different sides. All tests of this page are one "
-    f"family; Holm's procedure keeps the probability of any false verdict below {100 * LEVEL:.0f} %. *Holds* and *does"
-    " not hold* are significant; all else is *too few runs to tell*. A claim holds where it holds against every "
-    "planner named, and does not where it fails against one.",
-    "The tests are two-sided about one number: more runs can end a *too few*, but not where the two statistics truly "
-    "lie on different sides. Statements and rules were written down when the rows of the place task were known: "
-    "`paper_tables/statements.py`. One rule was made stricter later: *solves 98 % in time* was tested at 90 % of 98.4"
-    " %, which CBiRRT itself passes.",
+    " of the two p counts; p is 1 where one statistic lies above the tested number and the other below. All tests of "
+    f"this page are one family; Holm's procedure keeps the probability of any false verdict below {100 * LEVEL:.0f} %. "
+    "*Holds* and *does not hold* are significant; all else is *too few runs to tell*. A claim holds where it holds "
+    "against every planner named, and does not where it fails against one.",
+    "The tests are two-sided about one number: more runs can decide a *too few*, but not where the two statistics "
+    "truly lie on different sides of it. Statements and rules were written down when the rows of the place task were "
+    "known: `paper_tables/statements.py`. One rule was made stricter later: *solves 98 % in time* was tested at 90 % "
+    "of 98.4 %, which CBiRRT itself passes.",
     "OMPL calls our compiled checks and projections through Python. At the prices of `cvqmpt bench kernels` the "
     "counted work explains about half of the search time of `ompl-projected` and a thirtieth of that of `atlas-rrt` "
     "and `tb-rrt`, but all of that of `birrt`: compare their work, too.",
     "Settings of all planners of ours were chosen in the kitchen of the place task, with the can elsewhere (problems "
     "1000 to 1059, never reported): see *A kitchen that no tuning has seen*.",
-    "The cost of a state check in the paper's simulator, 3.5 ms where tables say *the paper's cost*, is measured by "
-    "`cvqmpt bench paper-check` (3.9 ms at best here, 6.3 in the middle on a busy machine); no verdict rests on it.",
+    "Where tables say *the paper's cost*, a state check in the paper's simulator is assumed to cost 3.5 ms "
+    "(`cvqmpt bench paper-check` measured 3.9 ms at best and 6.3 in the median, on a busy machine); no verdict rests "
+    "on it.",
 )
 
 
