@@ -1,6 +1,7 @@
 """Whether the paper holds: verdicts from rows, and the pages that tell them."""
 
 import json
+from collections import Counter
 
 import pytest
 from made_rows import a_results_folder
@@ -9,6 +10,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.claims_page import (
+    README,
     VERDICTS,
     committed_pages,
     decomposition_lines,
@@ -26,6 +28,17 @@ def by_title(results):
 
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
     assert stale_pages(committed_pages()) == []
+
+
+def test_the_readme_counts_its_verdicts():
+    text = README.read_text()
+    rows = text.split(VERDICTS[0])[1].split(VERDICTS[1])[0].strip().splitlines()[2:]
+    count = Counter(row.strip("|").split("|")[-1].strip() for row in rows)
+    counted = (
+        f"of {len(rows)}, {count[Ruling.HOLDS]} hold, {count[Ruling.FAILS]} do not, "
+        f"{count[Ruling.INCOMPARABLE]} cannot be compared, {count[Ruling.TOO_FEW]} are not decided"
+    )
+    assert counted in text
 
 
 @pytest.mark.parametrize(
